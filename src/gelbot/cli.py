@@ -1,0 +1,204 @@
+"""The command line: words in, words out. What takes long to import is imported by the command that needs it."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from gelbot import __version__
+from gelbot.errors import BadInput, GelbotError, SimulationFailed
+
+app = typer.Typer(
+    help="Simulate, control and understand robots made of electro-active polymer gel.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+RUN_MARKS = ("run.zarr", "summary.json")
+"""A folder that holds one of these holds a run."""
+
+PAPER = (
+    ("switch, end of the preparation", "t_switch_s", "40 s", "{:.1f} s"),
+    ("centre's height at the switch", "z_switch_mm", "6.5 mm", "{:.2f} mm"),
+    ("tip's direction at the switch", "tip_angle_at_switch_deg", "90 deg (vertical)", "{:.0f} deg"),
+    ("transition", "t_transition_s", "6 - 10 s", "{:.1f} s"),
+    ("turned over", "turned_over", "yes (5 of 5)", "{}"),
+    ("stayed over", "stayed_over_s", "", "{:.1f} s"),
+    ("largest height", "max_height_mm", "", "{:.2f} mm"),
+    ("height at the end", "final_height_mm", "", "{:.2f} mm"),
+    ("normal's z at the end", "final_normal_z", "", "{:.2f}"),
+    ("largest voltage", "peak_voltage_V", "", "{:.2f} V"),
+    ("largest current", "peak_current_A", "", "{:.3f} A"),
+    ("simulated time", "simulated_s", "", "{:.1f} s"),
+    ("wall-clock time", "wall_s", "", "{:.1f} s"),
+    ("of it compiling", "compile_s", "", "{:.1f} s"),
+)
+"""Rows of the table at the end of a run: what, its key in the summary, what the paper reports, how it is written."""
+
+
+@contextmanager
+def plain_errors() -> Iterator[None]:
+    """Say an error on one line and leave: with 2 for bad input, 1 for the rest. Other faults are not caught."""
+    try:
+        yield
+    except GelbotError as error:
+        typer.echo(f"gelbot: {error}", err=True)
+        raise typer.Exit(2 if isinstance(error, BadInput) else 1) from None
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        typer.echo(f"gelbot: {place}{error.strerror or error}", err=True)
+        raise typer.Exit(1) from None
+
+
+def _say_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"gelbot {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=_say_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Simulate, control and understand robots made of electro-active polymer gel."""
+
+
+@app.command()
+def scenarios(as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False) -> None:
+    """List the scenarios that come with gelbot."""
+    from gelbot.scenario import description, names
+
+    with plain_errors():
+        rows = [(name, description(name)) for name in names()]
+    if as_json:
+        _print_json([{"name": name, "description": text} for name, text in rows])
+    else:
+        _print_table(("scenario", "what it shows"), rows)
+
+
+@app.command()
+def show(name: Annotated[str, typer.Argument(help="A built-in scenario.")]) -> None:
+    """Print a built-in scenario as it is, to be copied and edited."""
+    from gelbot.scenario import built_in_text
+
+    with plain_errors():
+        text = built_in_text(name)
+    # Bytes, so that it reads again whatever encoding the terminal has.
+    typer.echo(text.encode(), nl=False)
+
+
+@app.command()
+def run(
+    scenario: Annotated[str, typer.Argument(help="A built-in scenario or a scenario file.")],
+    changes: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change one value, such as body.thickness='1 mm'. Repeatable."),
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for the results. [default: runs/NAME]")] = None,
+    movie: Annotated[bool, typer.Option("--movie/--no-movie", help="Make the movie.")] = True,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON, and nothing else.")] = False,
+) -> None:
+    """Simulate a scenario; numbers, plots and a movie go to the output folder."""
+    with plain_errors():
+        from gelbot.scenario import load
+
+        loaded = load(scenario, changes or [])
+        folder = checked_folder(out) if out is not None else free_folder(loaded.scenario.name)
+
+        from gelbot.run import run_scenario
+
+        try:
+            summary = run_scenario(loaded, folder, movie=movie, progress=not as_json)
+        except SimulationFailed:
+            if folder.exists():
+                typer.echo(f"gelbot: what was computed is kept in {folder}", err=True)
+            raise
+    if as_json:
+        _print_json(summary)
+    else:
+        _print_table(("", "paper", "this run"), _comparison(summary))
+        typer.echo(f"results in {folder}")
+
+
+def free_folder(name: str) -> Path:
+    """The folder runs/`name`, or the first of runs/`name`-2, -3, ... that holds no run yet."""
+    folder, count = Path("runs") / name, 1
+    while _holds_run(folder):
+        count += 1
+        folder = Path("runs") / f"{name}-{count}"
+    return checked_folder(folder)
+
+
+def checked_folder(folder: Path) -> Path:
+    """`folder`, to which a run can be written; it need not exist yet. Raises `BadInput` otherwise; writes nothing."""
+    allowed = "a folder that does not exist yet, or one without a run in it"
+    try:
+        if _holds_run(folder):
+            raise BadInput("--out", str(folder), allowed, "another --out: this folder holds a run already")
+        nearest = folder.absolute()
+        while not _exists(nearest):
+            nearest = nearest.parent
+        if not nearest.is_dir():
+            raise BadInput("--out", str(folder), allowed, f"another --out: {nearest} is no folder")
+        if not os.access(nearest, os.W_OK | os.X_OK):
+            raise BadInput("--out", str(folder), "a folder that can be written", f"another --out, outside {nearest}")
+    except OSError as error:
+        raise BadInput("--out", str(folder), f"{allowed} ({error.strerror})") from error
+    return folder
+
+
+def _exists(path: Path) -> bool:
+    """Whether something stands at `path`, a broken link too. Raises `OSError` for names that cannot exist."""
+    try:
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    return True
+
+
+def _holds_run(folder: Path) -> bool:
+    return any(os.path.lexists(folder / mark) for mark in RUN_MARKS)
+
+
+def _comparison(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """The rows of `PAPER` for which this run has a value."""
+    given = [(what, paper, form, summary.get(key)) for what, key, paper, form in PAPER]
+    words = {True: "yes", False: "no"}
+    return [
+        (what, paper, words[value] if isinstance(value, bool) else form.format(value))
+        for what, paper, form, value in given
+        if value is not None
+    ]
+
+
+def _print_json(value: object) -> None:
+    typer.echo(json.dumps(value, indent=2))
+
+
+def _print_table(heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(*heads)
+    for row in rows:
+        table.add_row(*(Text(cell) for cell in row))
+    Console().print(table)
+
+
+def main() -> None:
+    """The command `gelbot`."""
+    app()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,53 @@
+"""Every error a user can cause or meet: one base class, children that carry the data of the case."""
+
+from __future__ import annotations
+
+
+class GelbotError(Exception):
+    """Base of all errors that gelbot raises on purpose. Its text is meant for the user."""
+
+
+class Nothing:
+    """Stands for a value that was not given, where `None` could be one that was."""
+
+    def __repr__(self) -> str:
+        return "nothing"
+
+
+NOTHING = Nothing()
+
+
+def shortened(text: str, most: int = 200) -> str:
+    """`text`, cut after `most` characters: a message shows what was given, not all of it."""
+    return text if len(text) <= most else text[:most] + "..."
+
+
+class BadInput(GelbotError):
+    """Something the user gave is not usable.
+
+    Parameters say where it was found (`where`: a file, a key, an option), what was given (`given`), what is allowed
+    (`allowed`) and, where it helps, what to try (`advice`); `more` errors were found beside this one.
+    """
+
+    def __init__(self, where: str, given: object, allowed: str, advice: str = "", more: int = 0) -> None:
+        self.where, self.given, self.allowed, self.advice, self.more = where, given, allowed, advice, more
+        text = f"{where}: got {shortened(repr(given))}; allowed: {allowed}"
+        text = f"{text}. Try: {advice}" if advice else text
+        super().__init__(f"{text} (and {more} more {'error' if more == 1 else 'errors'})" if more else text)
+
+    def inside(self, place: str) -> BadInput:
+        """The same error seen from further out: `place` is put before `where`."""
+        return BadInput(f"{place}: {self.where}", self.given, self.allowed, self.advice, self.more)
+
+
+class SimulationFailed(GelbotError):
+    """The implicit step did not reach its tolerance, or the state is no longer finite."""
+
+    def __init__(self, time: float, residual: float, tolerance: float, finite: bool) -> None:
+        self.time, self.residual, self.tolerance, self.finite = time, residual, tolerance, finite
+        what = "did not converge" if finite else "became non-finite"
+        super().__init__(
+            f"the simulation {what} at t = {time:.3f} s: residual {residual:.3g}, tolerance {tolerance:.3g} "
+            "(both relative to the body's net weight). Try: a smaller simulation.time_step, "
+            "more simulation.max_iterations, a stiffer material.young_modulus, or a finer body.mesh_size"
+        )

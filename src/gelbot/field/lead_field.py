@@ -1,0 +1,100 @@
+"""The lead field on a grid: current density anywhere in the working volume for any voltages, at the cost of a gather.
+
+The potential of each electrode at unit voltage is interpolated by a cubic B-spline; its exact gradient gives
+
+    i(x) = sum_e V_e g_e(x),    g_e = -sigma grad phi_e,
+
+so the interpolated field is free of curl by construction and superposition holds to rounding.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import NDArray
+
+from gelbot.field.charge import FieldSolution
+
+
+class LeadField(NamedTuple):
+    """B-spline coefficients of the electrodes' potentials [V/V], shape (e, nx * ny * nz), on a grid.
+
+    `origin` [m], shape (3,), is the grid point 0, `spacing` [m] the distance of grid points, `shape` (3,) the number of
+    cells along x, y, z (one more point, three more coefficients); `conductivity` [S/m].
+    """
+
+    coefficients: Array
+    origin: Array
+    spacing: Array
+    cells: Array
+    conductivity: Array
+
+
+def build_lead_field(
+    solution: FieldSolution, low: NDArray[np.float64], high: NDArray[np.float64], spacing: float
+) -> LeadField:
+    """Tabulate the potentials of `solution` in the box from `low` to `high` [m], shape (3,) each."""
+    cells = np.maximum(4, np.ceil((high - low) / spacing - 1e-9)).astype(int)
+    axes = [low[k] + spacing * np.arange(cells[k] + 1) for k in range(3)]
+    points = np.stack([g.ravel() for g in np.meshgrid(*axes, indexing="ij")])
+    values = solution.lead_potential(points).reshape(-1, *(cells + 1))
+    for axis in range(3):
+        values = np.moveaxis(np.tensordot(_spline_matrix(int(cells[axis]) + 1), values, (1, axis + 1)), 0, axis + 1)
+    return LeadField(
+        coefficients=jnp.asarray(values.reshape(len(values), -1)),
+        origin=jnp.asarray(low),
+        spacing=jnp.asarray(spacing),
+        cells=jnp.asarray(cells),
+        conductivity=jnp.asarray(solution.problem.conductivity),
+    )
+
+
+def potential_coefficients(lead: LeadField, voltages: Array) -> Array:
+    """Superposition: spline coefficients of the potential [V] for `voltages` [V], shape (e,); shape (nx * ny * nz,)."""
+    return voltages @ lead.coefficients
+
+
+def current_density(lead: LeadField, coefficients: Array, points: Array) -> Array:
+    """Current density i = -sigma grad phi [A/m^2], shape (3, p), at `points` [m], shape (3, p).
+
+    `coefficients` come from `potential_coefficients`. Points outside the box see the field at its nearest point.
+    """
+    local = (points - lead.origin[:, None]) / lead.spacing
+    local = jnp.clip(local, 0.0, lead.cells[:, None].astype(local.dtype))
+    cell = jnp.clip(jnp.floor(local).astype(jnp.int32), 0, lead.cells[:, None] - 1)
+    value, slope = _basis(local - cell)
+    ny, nz = lead.cells[1] + 3, lead.cells[2] + 3
+    # The coefficient array has one more entry than points on either side: cell k begins at coefficient k.
+    corner = (cell[0] * ny + cell[1]) * nz + cell[2]
+    step = jnp.arange(4)
+    index = corner + ((step[:, None, None, None] * ny + step[:, None, None]) * nz + step[:, None])
+    around = coefficients[index]
+    along_z = jnp.sum(around * value[:, 2], axis=2), jnp.sum(around * slope[:, 2], axis=2)
+    plain = jnp.sum(along_z[0] * value[:, 1], axis=1), jnp.sum(along_z[0] * slope[:, 1], axis=1)
+    gradient = jnp.stack(
+        [
+            jnp.sum(plain[0] * slope[:, 0], axis=0),
+            jnp.sum(plain[1] * value[:, 0], axis=0),
+            jnp.sum(jnp.sum(along_z[1] * value[:, 1], axis=1) * value[:, 0], axis=0),
+        ]
+    )
+    return -lead.conductivity * gradient / lead.spacing
+
+
+def _basis(t: Array) -> tuple[Array, Array]:
+    """The four cubic B-splines that cover a cell, and their slopes, at `t` in [0, 1], shape (3, p); (4, 3, p) each."""
+    value = jnp.stack([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]) / 6.0
+    slope = jnp.stack([-((1 - t) ** 2), 3 * t**2 - 4 * t, -3 * t**2 + 2 * t + 1, t**2]) / 2.0
+    return value, slope
+
+
+def _spline_matrix(count: int) -> NDArray[np.float64]:
+    """From `count` values on a line to count + 2 B-spline coefficients: interpolation, and no knot at the ends."""
+    system = np.zeros((count + 2, count + 2))
+    for i in range(count):
+        system[i, i : i + 3] = np.array([1.0, 4.0, 1.0]) / 6.0
+    system[count, :5] = system[count + 1, -5:] = [1.0, -4.0, 6.0, -4.0, 1.0]
+    return np.linalg.inv(system)[:, :count]

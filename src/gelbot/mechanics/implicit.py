@@ -1,0 +1,158 @@
+"""The implicit Euler step of the body: the positions at its end make all forces balance.
+
+    m (x - x_0 - v_0 dt) / dt^2 = f_springs(x) + f_contact(x) + f_weight + f_drag(x),    v = (x - x_0) / dt
+
+They are where the incremental energy is least:
+
+    W(x) = sum m |x - x_0 - v_0 dt|^2 / (2 dt^2) + c m |x - x_0|^2 / (2 dt) + w z + W_springs + W_floor + W_friction
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from gelbot.mechanics.contact import (
+    friction_energy,
+    friction_grip,
+    normal_energy,
+    normal_forces,
+    normal_stiffness,
+)
+from gelbot.mechanics.medium import drag_forces, gravity_forces
+from gelbot.mechanics.quasi_newton import Solution, minimise
+from gelbot.mechanics.springs import spring_energy, spring_forces
+
+PATIENCE = 40
+"""Iterations after which a step asks for a new preconditioner."""
+
+
+class Mechanics(NamedTuple):
+    """Constants of the body and its surroundings, SI units; index letters n nodes, s springs.
+
+    `springs` (2, s), `incidence` (d, n) from `node_springs`, `stiffness` [N/m] and `spring_length` [m] (s,);
+    `node_mass` [kg] and `weight` less buoyancy [N] (n,); `contact_stiffness` [N/m], `contact_layer` [m], `friction`,
+    `stick_speed` [m/s], `drag` [1/s]; `tolerance` (times `force_scale` [N]) and `max_iterations` of the step.
+    """
+
+    springs: Array
+    incidence: Array
+    stiffness: Array
+    spring_length: Array
+    node_mass: Array
+    weight: Array
+    contact_stiffness: Array
+    contact_layer: Array
+    friction: Array
+    stick_speed: Array
+    drag: Array
+    tolerance: Array
+    max_iterations: Array
+    force_scale: Array
+
+
+class Preconditioner(NamedTuple):
+    """Inverse of the stiffness [m/N], shape (3n, 3n), in single precision, and the frame (3, 3) it was made in."""
+
+    inverse: Array
+    frame: Array
+
+
+def forces(mech: Mechanics, x: Array, x0: Array, v0: Array, rest: Array, dt: Array) -> Array:
+    """Sum of all forces on the nodes, inertia included [N], shape (3, n): zero at the end of a step."""
+    u = x - x0
+    pressed = normal_forces(x0, mech.contact_stiffness, mech.contact_layer)
+    grip = friction_grip(u[:2], pressed, mech.friction, mech.stick_speed, dt)
+    push = normal_forces(x, mech.contact_stiffness, mech.contact_layer)
+    return (
+        spring_forces(x, mech.springs, mech.stiffness, rest, mech.incidence)
+        + jnp.concatenate([-grip * u[:2], push[None]])
+        + gravity_forces(mech.weight)
+        + drag_forces(u, mech.node_mass, mech.drag, dt)
+        - mech.node_mass * (u / dt - v0) / dt
+    )
+
+
+def incremental_energy(mech: Mechanics, x: Array, x0: Array, v0: Array, rest: Array, dt: Array) -> Array:
+    """W(x) [J], whose gradient is minus `forces`; it is measured from the start of the step, where rounding is small."""
+    u = x - x0
+    inertia = jnp.sum(mech.node_mass * (u / dt - v0) ** 2) / 2.0
+    drag = jnp.sum(mech.drag * mech.node_mass * u**2) / (2.0 * dt)
+    pressed = normal_forces(x0, mech.contact_stiffness, mech.contact_layer)
+    return (
+        inertia
+        + drag
+        + jnp.sum(mech.weight * u[2])
+        + spring_energy(x, mech.springs, mech.stiffness, rest)
+        + normal_energy(x, mech.contact_stiffness, mech.contact_layer)
+        + friction_energy(u[:2], pressed, mech.friction, mech.stick_speed, dt)
+    )
+
+
+def solve_step(
+    mech: Mechanics, x0: Array, v0: Array, rest: Array, dt: Array, near: Preconditioner, frame: Array
+) -> tuple[Solution, Preconditioner]:
+    """Solve for the positions at the end of a step `dt` [s]; the solution's residual is relative to `force_scale`.
+
+    `x0` [m], `v0` [m/s], shape (3, n); `rest` lengths [m], shape (s,); `frame` (3, 3) the body's frame now: the
+    preconditioner is turned with the body. Where the iteration is slow a new preconditioner is made on the way; the
+    last one comes back with the solution.
+    """
+
+    def attempt(x: Array, near: Preconditioner) -> Solution:
+        return minimise(
+            objective=lambda x: (incremental_energy(mech, x, x0, v0, rest, dt), -forces(mech, x, x0, v0, rest, dt)),
+            precondition=lambda g: _precondition(mech, near, frame, g),
+            x=x,
+            tolerance=mech.tolerance * mech.force_scale,
+            max_iterations=jnp.minimum(PATIENCE, mech.max_iterations),
+        )
+
+    def unfinished(carry: tuple[Solution, Preconditioner]) -> Array:
+        found, _ = carry
+        finite = jnp.isfinite(found.residual)
+        return finite & (found.residual > mech.tolerance * mech.force_scale) & (found.iterations < mech.max_iterations)
+
+    def renew(carry: tuple[Solution, Preconditioner]) -> tuple[Solution, Preconditioner]:
+        before, _ = carry
+        fresh = build_preconditioner(mech, before.x, (before.x - x0) / dt, rest, dt, frame)
+        found = attempt(before.x, fresh)
+        return Solution(found.x, found.residual, found.iterations + before.iterations), fresh
+
+    found, near = jax.lax.while_loop(unfinished, renew, (attempt(x0 + dt * v0, near), near))
+    return Solution(found.x, found.residual / mech.force_scale, found.iterations), near
+
+
+def _precondition(mech: Mechanics, near: Preconditioner, frame: Array, g: Array) -> Array:
+    single = near.inverse.dtype
+    turn = (frame @ near.frame.T).astype(single)
+    # Scaled to order one: single precision has no room for forces of 1e-9 N times compliances of 1e3 m/N.
+    local = turn.T @ (g / mech.force_scale).astype(single)
+    moved = turn @ (near.inverse @ local.ravel()).reshape(local.shape)
+    return moved.astype(g.dtype) * mech.force_scale
+
+
+def build_preconditioner(mech: Mechanics, x: Array, v: Array, rest: Array, dt: Array, frame: Array) -> Preconditioner:
+    """Invert the stiffness of a step `dt` [s] in the shape `x` [m], with what would make it indefinite left out."""
+    n = x.shape[1]
+    along = x[:, mech.springs[1]] - x[:, mech.springs[0]]
+    length = jnp.sqrt(jnp.sum(along**2, axis=0))
+    unit = along / length
+    across = jnp.maximum(0.0, 1.0 - rest / length)  # compression softens a spring across its line: left out
+    dyad = unit[:, None] * unit[None, :]
+    block = mech.stiffness * (dyad + across * (jnp.eye(3)[:, :, None] - dyad))
+    i, j = mech.springs
+    matrix = jnp.zeros((3, n, 3, n), x.dtype)
+    a, b = jnp.meshgrid(jnp.arange(3), jnp.arange(3), indexing="ij")
+    for first, second, sign in ((i, i, 1.0), (j, j, 1.0), (i, j, -1.0), (j, i, -1.0)):
+        matrix = matrix.at[a[:, :, None], first, b[:, :, None], second].add(sign * block)
+    pressed = normal_forces(x, mech.contact_stiffness, mech.contact_layer)
+    grip = friction_grip(dt * v[:2], pressed, mech.friction, mech.stick_speed, dt)
+    floor = normal_stiffness(x, mech.contact_stiffness, mech.contact_layer)
+    inertia = mech.node_mass / dt**2 + mech.drag * mech.node_mass / dt
+    diagonal = (inertia + jnp.stack([grip, grip, floor])).ravel()
+    full = matrix.reshape(3 * n, 3 * n) + jnp.diag(diagonal)
+    return Preconditioner(jnp.linalg.inv(full).astype(jnp.float32), frame)

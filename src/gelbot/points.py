@@ -1,0 +1,64 @@
+"""Essential points: the centre, the body's normal and the tips, read from the node positions (Sections IV-B and IV-D)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+
+class EssentialPoints(NamedTuple):
+    """How to read the points: weights over the nodes, `centre` (n,), `tips` and `tip_bases` (a, n), and the `hub`.
+
+    `hub` (3, m): triangles of columns around the centre; `hub_weights` (h, n): means over the thickness, row `h` being
+    column `hub`'s index; so the normal belongs to the mid-surface.
+    """
+
+    centre: Array
+    tips: Array
+    tip_bases: Array
+    hub: Array
+    hub_weights: Array
+
+
+class Observation(NamedTuple):
+    """What a camera would see: `centre` [m] (3,), `normal` (3,) of the body's upper side, `tips` [m] (3, a).
+
+    `tip_angles` [rad] (a,): how far each tip points below its own outward direction: 0 flat, pi/2 vertical
+    downwards, more when curled inwards, negative when it points up.
+    """
+
+    centre: Array
+    normal: Array
+    tips: Array
+    tip_angles: Array
+
+
+def observe(points: EssentialPoints, positions: Array) -> Observation:
+    """Read the essential points from node `positions` [m], shape (3, n)."""
+    centre = positions @ points.centre
+    tips = positions @ points.tips.T
+    bases = positions @ points.tip_bases.T
+    outward = (bases - centre[:, None]).at[2].set(0.0)
+    outward = outward / jnp.maximum(jnp.sqrt(jnp.sum(outward**2, axis=0)), 1e-12)
+    along = tips - bases
+    return Observation(
+        centre=centre,
+        normal=body_frame(points, positions)[:, 2],
+        tips=tips,
+        tip_angles=jnp.arctan2(-along[2], jnp.sum(along * outward, axis=0)),
+    )
+
+
+def body_frame(points: EssentialPoints, positions: Array) -> Array:
+    """An orthonormal frame that turns with the middle of the body, columns: two in its plane, then its normal; (3, 3)."""
+    columns = positions @ points.hub_weights.T
+    a, b, c = (columns[:, points.hub[k]] for k in range(3))
+    normal = jnp.sum(jnp.cross(b - a, c - a, axis=0), axis=1)
+    normal = normal / jnp.maximum(jnp.sqrt(jnp.sum(normal**2)), 1e-30)
+    # The first triangle is a fixed mark on the body; its edge gives the direction in the plane.
+    mark = (b - a)[:, 0]
+    first = mark - normal * jnp.sum(mark * normal)
+    first = first / jnp.maximum(jnp.sqrt(jnp.sum(first**2)), 1e-30)
+    return jnp.stack([first, jnp.cross(normal, first), normal], axis=1)

@@ -1,0 +1,154 @@
+"""The values of a scenario: how each kind is written, and which values it may have."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler
+from pydantic_core import PydanticCustomError, core_schema
+
+from gelbot.errors import BadInput
+from gelbot.units import allowed_quantity, quantity, shown
+
+
+class Table(BaseModel):
+    """A table of a scenario file: unknown keys are errors, values do not change."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+def wrong(key: str, given: object, allowed: str, advice: str = "") -> PydanticCustomError:
+    """The error of a check: `key` (dotted, below the table that is being checked) has the value `given`."""
+    context = {"key": key, "given": given, "allowed": allowed, "advice": advice}
+    return PydanticCustomError("bad_input", "bad input", context)
+
+
+def passed_on(error: BadInput, prefix: str = "") -> PydanticCustomError:
+    """`error`, raised by another module, as an error of a check; `prefix` is taken off its place."""
+    key = error.where.removeprefix(prefix).lstrip(".")
+    return wrong(key, error.given, error.allowed, error.advice)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounds:
+    """Greater than (`gt`), at least (`ge`), less than (`lt`), at most (`le`); None is no bound."""
+
+    gt: float | None = None
+    ge: float | None = None
+    lt: float | None = None
+    le: float | None = None
+
+    def hold(self, value: float) -> bool:
+        """Whether `value` is finite and within the bounds."""
+        return (
+            math.isfinite(value)
+            and (self.gt is None or value > self.gt)
+            and (self.ge is None or value >= self.ge)
+            and (self.lt is None or value < self.lt)
+            and (self.le is None or value <= self.le)
+        )
+
+    def text(self, unit: str = "") -> str:
+        """The bounds in words, with `unit`; empty without bounds."""
+        words = {"gt": "greater than", "ge": "at least", "lt": "less than", "le": "at most"}
+        given = [(word, getattr(self, name)) for name, word in words.items() if getattr(self, name) is not None]
+        return " and ".join(f"{word} {shown(bound, unit) if unit and bound else f'{bound:g}'}" for word, bound in given)
+
+
+class Checked(Bounds):
+    """An annotation that reads one value of a scenario: `parse` makes it, `allowed` says what it may be."""
+
+    @property
+    def allowed(self) -> str:
+        raise NotImplementedError
+
+    def parse(self, given: object) -> Any:
+        raise NotImplementedError
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+        return core_schema.no_info_plain_validator_function(self.parse)
+
+
+@dataclass(frozen=True)
+class Dimension(Checked):
+    """A quantity, written with its unit; read as a float in the SI unit `unit`."""
+
+    unit: str
+
+    @property
+    def allowed(self) -> str:
+        return self._bounded(allowed_quantity(self.unit))
+
+    def parse(self, given: object) -> Any:
+        try:
+            value = quantity(given, self.unit, "")
+        except BadInput as error:
+            raise wrong("", given, self._bounded(error.allowed), error.advice) from error
+        if not self.hold(value):
+            raise wrong("", given, self.allowed)
+        return value
+
+    def _bounded(self, kind: str) -> str:
+        bounds = self.text(self.unit)
+        return f"{kind}, {bounds}" if bounds else kind
+
+
+@dataclass(frozen=True)
+class Pair(Dimension):
+    """Two quantities, in x and y."""
+
+    def parse(self, given: object) -> tuple[float, float]:
+        if not isinstance(given, list) or len(given) != 2:
+            raise wrong("", given, f"a list of two values, each {self.allowed}")
+        return super().parse(given[0]), super().parse(given[1])
+
+
+@dataclass(frozen=True)
+class Number(Checked):
+    """A plain finite number."""
+
+    @property
+    def allowed(self) -> str:
+        bounds = self.text()
+        return f"a number without a unit, {bounds}" if bounds else "a finite number without a unit"
+
+    def parse(self, given: object) -> float:
+        if isinstance(given, bool) or not isinstance(given, int | float) or not self.hold(given):
+            raise wrong("", given, self.allowed)
+        return float(given)
+
+
+@dataclass(frozen=True)
+class Count(Checked):
+    """A whole number."""
+
+    @property
+    def allowed(self) -> str:
+        bounds = self.text()
+        return f"a whole number, {bounds}" if bounds else "a whole number"
+
+    def parse(self, given: object) -> int:
+        if isinstance(given, bool) or not isinstance(given, int) or not self.hold(given):
+            raise wrong("", given, self.allowed)
+        return given
+
+
+Length = Annotated[float, Dimension("m", gt=0)]
+Height = Annotated[float, Dimension("m", ge=0)]
+Coordinate = Annotated[float, Dimension("m")]
+Point = Annotated[tuple[float, float], Pair("m")]
+Size = Annotated[tuple[float, float], Pair("m", gt=0)]
+Angle = Annotated[float, Dimension("rad")]
+Time = Annotated[float, Dimension("s", gt=0)]
+Density = Annotated[float, Dimension("kg/m^3", gt=0)]
+
+
+def check_multiple(key: str, value: float, of: str, base: float, unit: str = "s") -> None:
+    """Check that `value`, found at `key`, is a whole multiple (1, 2, ...) of `base`, which is the value of key `of`."""
+    ratio = value / base
+    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * max(1.0, ratio):
+        nearest = max(1, round(ratio)) * base
+        allowed = f"a whole multiple of {of} = {shown(base, unit)}"
+        raise wrong(key, shown(value, unit), allowed, f'"{shown(nearest, unit)}"')

@@ -1,0 +1,45 @@
+"""What a scenario is: the tables of its file, each value in SI, every check on them.
+
+Checks of one value stand at the value (`fields`), checks within a table in that table (`bodies`, `tables`), checks
+among tables here (`placement`).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from gelbot.scenario.bodies import Body
+from gelbot.scenario.fields import Table, check_multiple
+from gelbot.scenario.placement import check_heights, check_reach, check_tank, check_voltages
+from gelbot.scenario.tables import Electrodes, Material, Programme, Recording, Simulation, Solution, Supply, Tank
+
+
+class Scenario(Table):
+    """One experiment: what is moved, where, by what, and how it is computed and recorded."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")]
+    description: str
+    body: Body
+    material: Material
+    solution: Solution
+    electrodes: Electrodes
+    tank: Tank
+    supply: Supply
+    programme: Programme
+    simulation: Simulation
+    recording: Recording
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Scenario:
+        period, interval = self.programme.control_period, self.recording.interval
+        check_multiple("programme.control_period", period, "simulation.time_step", self.simulation.time_step)
+        check_multiple("recording.interval", interval, "programme.control_period", period)
+        check_multiple("recording.chunk", self.recording.chunk, "recording.interval", interval)
+        check_multiple("simulation.duration", self.simulation.duration, "recording.interval", interval)
+        check_heights(self.body, self.electrodes, self.tank)
+        check_tank(self.electrodes, self.tank)
+        check_reach(self.body, self.electrodes, self.tank)
+        check_voltages(self.programme, self.electrodes, self.supply)
+        return self

@@ -1,0 +1,217 @@
+"""One moment of a run in space: floor, body and electrodes.
+
+Drawn in this order: floor, shadow, body, electrodes. Only the last three change from moment to moment, so that a movie
+draws everything else once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox, TransformedBbox
+from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+from mpl_toolkits.mplot3d.axes3d import Axes3D
+from numpy.typing import NDArray
+
+from gelbot.show.style import ADSORPTION_MAP, FAINT, INK, VOLTAGE_MAP, Place
+
+MM = 1e3
+ELEVATION = 14.0
+"""Height of the camera [deg]: low enough to see under the electrodes, high enough to see the floor."""
+SLIVER = 0.15
+"""A plate of which less than this share of its side lies in the picture is left out."""
+AMBIENT = 0.6
+"""Brightness of a face that the light does not reach, as a share of the brightest."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A run's data for drawing, lengths in mm; read once, time first.
+
+    `position` (t, 3, n), `faces` (3, f), `adsorption` (t, f), `voltage` (t, e), `centre` and `normal` (t, 3),
+    `electrodes` (3, e) centres, `side`, `limit` [V].
+    """
+
+    position: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    adsorption: NDArray[np.float64]
+    voltage: NDArray[np.float64]
+    centre: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    electrodes: NDArray[np.float64]
+    side: float
+    limit: float
+    breadth: float
+
+    @staticmethod
+    def of(run: xr.Dataset) -> Scene:
+        """Read the arrays of `run` into memory."""
+        rest = run["rest_position"].transpose("space", "node").values * MM
+        return Scene(
+            position=run["position"].transpose("time", "space", "node").values * MM,
+            faces=run["faces"].transpose("corner", "face").values,
+            adsorption=run["adsorption"].transpose("time", "face").values,
+            voltage=run["voltage"].transpose("time", "electrode").values,
+            centre=run["centre"].transpose("time", "space").values * MM,
+            normal=run["normal"].transpose("time", "space").values,
+            electrodes=run["electrode_centre"].transpose("space", "electrode").values * MM,
+            side=float(run.attrs["electrode_side"]) * MM,
+            limit=float(run.attrs["limit"]),
+            breadth=float(np.ptp(rest[:2], axis=1).max()),
+        )
+
+    @cached_property
+    def window(self) -> tuple[NDArray[np.float64], float]:
+        """Middle (2,) and half width of the square to look at: the body's neighbourhood, wherever it goes."""
+        low, high = self.centre[:, :2].min(axis=0), self.centre[:, :2].max(axis=0)
+        reach = float(np.ptp(self.centre[:, :2], axis=0).max()) / 2.0 + 0.7 * self.breadth
+        return (low + high) / 2.0, max(self.breadth, reach)
+
+    @cached_property
+    def most_adsorption(self) -> float:
+        """The upper end of the colours: the run's largest adsorption, rounded up to a tenth."""
+        return max(0.1, float(np.ceil(10.0 * np.nanmax(self.adsorption) - 1e-9)) / 10.0)
+
+    @cached_property
+    def azimuth(self) -> float:
+        """Where the camera stands [deg]: across the direction into which the body tips, so that one sees it tip."""
+        tilt = self.normal[:, :2].sum(axis=0)
+        if np.linalg.norm(tilt) < 0.02 * len(self.normal):
+            return -60.0
+        across = np.degrees(np.arctan2(tilt[1], tilt[0])) + np.array([90.0, -90.0])
+        distance = np.abs((across + 60.0 + 180.0) % 360.0 - 180.0)
+        return float(across[np.argmin(distance)]) + 12.0
+
+
+class GelView:
+    """The body, the floor and the electrodes round it in a three-dimensional picture; `show` moves it to a moment."""
+
+    def __init__(self, figure: Figure, area: Place, scene: Scene, labels: bool = True) -> None:
+        self.scene = scene
+        self.axes: Axes3D = figure.add_axes(area, projection="3d", computed_zorder=False)  # pyright: ignore
+        (x, y), half = scene.window
+        self._low, self._high = np.array([x - half, y - half]), np.array([x + half, y + half])
+        self._frame(labels)
+        self._towards_camera = _direction(scene.azimuth, ELEVATION)
+        # The light comes from above, over the camera's left shoulder.
+        self._light = _direction(scene.azimuth - 40.0, 50.0)
+        self._ads_colours = ADSORPTION_MAP(np.linspace(0.0, 1.0, 256))
+
+        squares, self._visible = _clipped_squares(scene, (x, y), (1.5 if labels else 1.35) * half)
+        self._shadow = Poly3DCollection([], facecolors="#d3d3d3", edgecolors="#d3d3d3", linewidths=0.3, zorder=2)
+        self._gel = Poly3DCollection([], linewidths=0.3, zorder=3)
+        self._arrow = Line3DCollection([], colors=INK, linewidths=1.2, zorder=4)
+        self._plates = Poly3DCollection(squares, edgecolors=INK, linewidths=0.8, zorder=5)
+        self.moving = (self._shadow, self._gel, self._arrow, self._plates)
+        for artist in self.moving:
+            self.axes.add_collection3d(artist, autolim=False)
+        # The axes themselves are a square in the middle of the area; the picture fills all of it.
+        edge = TransformedBbox(Bbox.from_bounds(*area), figure.transFigure)
+        for artist in self.axes.collections:
+            artist.set_clip_path(None)
+            artist.set_clip_box(edge)
+
+    def show(self, k: int) -> None:
+        """Move the picture to frame `k` of the run."""
+        scene = self.scene
+        corners = scene.position[k][:, scene.faces].transpose(2, 1, 0)
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        seen = normals @ self._towards_camera > -0.1
+        brightness = AMBIENT + (1.0 - AMBIENT) * np.clip(normals @ self._light, 0.0, 1.0)
+        adsorbed = np.clip(scene.adsorption[k] / scene.most_adsorption, 0.0, 1.0)
+        shade = self._ads_colours[(255.0 * adsorbed).astype(int)]
+        shade[:, :3] *= brightness[:, None]
+        self._gel.set_verts(corners[seen])
+        self._gel.set_facecolor(shade[seen])
+        self._gel.set_edgecolor(shade[seen])
+
+        shadow = corners[normals[:, 2] > 0.0].copy()
+        shadow[:, :, 2] = 0.0
+        self._shadow.set_verts(shadow)
+
+        foot, along = scene.centre[k], scene.normal[k]
+        self._arrow.set_segments(_arrow(foot, foot + 0.27 * scene.breadth * along, self._towards_camera))
+
+        colour = VOLTAGE_MAP(Normalize(-scene.limit, scene.limit)(scene.voltage[k]))
+        colour[:, 3] = 0.6
+        self._plates.set_facecolor(colour[self._visible])
+
+    def draw_moving(self, renderer) -> None:
+        """Draw what has moved on top of a picture of the rest; the figure must have been drawn once before."""
+        for artist in self.moving:
+            artist.do_3d_projection()
+            artist.draw(renderer)
+
+    def _frame(self, labels: bool) -> None:
+        axes, low, high = self.axes, self._low, self._high
+        top = 1.08 * float(self.scene.electrodes[2].max())
+        axes.set_xlim(low[0], high[0])
+        axes.set_ylim(low[1], high[1])
+        axes.set_zlim(0.0, top)
+        zoom: Any = 1.5 if labels else 1.6  # annotated as int in matplotlib, where it is any number
+        axes.set_box_aspect((high[0] - low[0], high[1] - low[1], top), zoom=zoom)
+        axes.view_init(elev=ELEVATION, azim=self.scene.azimuth)
+        axes.set_proj_type("ortho")
+        axes.grid(False)
+        axes.patch.set_alpha(0.0)
+        if labels:
+            sides: Any = axes  # whose axes matplotlib annotates as those of a plane
+            for axis, name in ((sides.xaxis, "x"), (sides.yaxis, "y"), (sides.zaxis, "z")):
+                axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
+                axis.set_label_text(f"{name} [mm]")
+                axis.labelpad = -4
+            axes.tick_params(pad=-1, labelsize=8)
+            axes.set_xticks(_round_marks(low[0], high[0], 10.0))
+            axes.set_yticks(_round_marks(low[1], high[1], 10.0))
+            sides.set_zticks(np.arange(0.0, top, 5.0))
+        else:
+            axes.set_axis_off()
+        ground = [[(low[0], low[1], 0.0), (high[0], low[1], 0.0), (high[0], high[1], 0.0), (low[0], high[1], 0.0)]]
+        floor = Poly3DCollection(ground, facecolors="#f1f1ee", edgecolors=FAINT, linewidths=0.8, zorder=0)
+        axes.add_collection3d(floor)
+        xs, ys = _round_marks(low[0], high[0], 5.0), _round_marks(low[1], high[1], 5.0)
+        lines = [((x, low[1], 0.0), (x, high[1], 0.0)) for x in xs]
+        lines += [((low[0], y, 0.0), (high[0], y, 0.0)) for y in ys]
+        axes.add_collection3d(Line3DCollection(lines, colors="#dcdcd6", linewidths=0.6, zorder=1))
+
+
+def _direction(azimuth: float, elevation: float) -> NDArray[np.float64]:
+    """The unit vector towards `azimuth`, `elevation` [deg], shape (3,)."""
+    a, e = np.radians([azimuth, elevation])
+    return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+
+
+def _clipped_squares(
+    scene: Scene, middle: tuple[float, float], half: float
+) -> tuple[list[NDArray[np.float64]], NDArray[np.int64]]:
+    """The parts of the plates inside a square window, shape (4, 3) each, and the numbers of their electrodes."""
+    around = np.array(middle)[:, None]
+    start = np.maximum(scene.electrodes[:2] - scene.side / 2.0, around - half)
+    end = np.minimum(scene.electrodes[:2] + scene.side / 2.0, around + half)
+    visible = np.flatnonzero(np.all(end - start > SLIVER * scene.side, axis=0))
+    squares = []
+    for e in visible:
+        (x0, y0), (x1, y1), z = start[:, e], end[:, e], scene.electrodes[2, e]
+        squares.append(np.array([(x0, y0, z), (x1, y0, z), (x1, y1, z), (x0, y1, z)]))
+    return squares, visible
+
+
+def _round_marks(low: float, high: float, step: float) -> NDArray[np.float64]:
+    return np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step
+
+
+def _arrow(
+    foot: NDArray[np.float64], head: NDArray[np.float64], towards_camera: NDArray[np.float64]
+) -> list[NDArray[np.float64]]:
+    """The strokes of an arrow whose barbs lie across the line of sight."""
+    along = head - foot
+    across = np.cross(along, towards_camera)
+    barbs = [head - 0.25 * along + sign * 0.15 * across for sign in (-1.0, 1.0)]
+    return [np.array([foot, head]), np.array([barbs[0], head, barbs[1]])]

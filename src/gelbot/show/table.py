@@ -1,0 +1,59 @@
+"""The table *paper | this run* at the end of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+NONE = "-"
+
+
+def comparison_table(summary: Mapping[str, Any]) -> Table:
+    """What Section V of the paper reports beside what `summary`, the content of summary.json, says of this run."""
+    table = Table(title=f"{summary.get('scenario') or 'run'}: {summary.get('status') or 'status unknown'}")
+    table.add_column("")
+    table.add_column("paper", justify="right")
+    table.add_column("this run", justify="right")
+    rows = (
+        ("switch after", "40 s", _value(summary, "t_switch_s", ".1f", " s")),
+        ("centre height at the switch", "6.5 mm", _value(summary, "z_switch_mm", ".2f", " mm")),
+        ("tip angle at the switch", "vertical (90 deg)", _value(summary, "tip_angle_at_switch_deg", ".0f", " deg")),
+        ("transition", "6-10 s", _value(summary, "t_transition_s", ".1f", " s")),
+        ("turned over", "5 of 5", "yes" if summary.get("turned_over") else "no"),
+        ("stays over", "yes", _stays(summary)),
+    )
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def print_summary(summary: Mapping[str, Any], console: Console | None = None) -> None:
+    """Print the table, then how long the run took and what the supply gave."""
+    console = console or Console()
+    console.print(comparison_table(summary))
+    simulated, wall = summary.get("simulated_s"), summary.get("wall_s")
+    speed = f" ({simulated / wall:.0f}x real time)" if simulated and wall else ""
+    lines = (
+        f"simulated {_value(summary, 'simulated_s', '.1f', ' s')} in {_value(summary, 'wall_s', '.1f', ' s')}{speed}; "
+        f"compiling took {_value(summary, 'compile_s', '.1f', ' s')}",
+        f"supply: at most {_value(summary, 'peak_voltage_V', '.3g', ' V')}, "
+        f"{_value(summary, 'peak_current_A', '.3g', ' A')} per electrode; "
+        f"charge {_value(summary, 'charge_C', '.3g', ' C')}",
+    )
+    for line in lines:
+        console.print(line, highlight=False, markup=False)
+
+
+def _value(summary: Mapping[str, Any], key: str, form: str, unit: str) -> str:
+    value = summary.get(key)
+    return NONE if value is None else f"{value:{form}}{unit}"
+
+
+def _stays(summary: Mapping[str, Any]) -> str:
+    stayed = summary.get("stayed_over_s") or 0.0
+    if stayed > 0.0:
+        return f"yes, {stayed:.1f} s"
+    return "no" if summary.get("turned_over") else NONE

@@ -1,0 +1,167 @@
+"""Voltages in, motion out: the model of Sections II and III as pure functions.
+
+One step follows the chain: voltages -> current density on the surface -> adsorption -> rest lengths -> forces -> motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from gelbot.adsorption import adsorb
+from gelbot.field.lead_field import LeadField, current_density, potential_coefficients
+from gelbot.mechanics.implicit import Mechanics, Preconditioner, build_preconditioner, solve_step
+from gelbot.mechanics.springs import rest_length
+from gelbot.points import EssentialPoints, Observation, body_frame, observe
+
+
+FRESH = 4
+"""Iterations that a step takes with a new preconditioner."""
+STALE = 150
+"""Iterations beyond `FRESH`, added up over the steps, after which a new preconditioner pays for itself."""
+
+
+class Gel(NamedTuple):
+    """The active surface: `faces` (3, f); `spring_faces`, `spring_face_weights` (2, s); constants of Eqs. (2) and (6).
+
+    `p_ele` [m^2/A] per `adsorption_step` [s], `p_ads` per the same step, `p_l`.
+    """
+
+    faces: Array
+    spring_faces: Array
+    spring_face_weights: Array
+    p_ele: Array
+    p_ads: Array
+    p_l: Array
+    adsorption_step: Array
+
+
+class Model(NamedTuple):
+    """All that stays constant during a run."""
+
+    gel: Gel
+    mechanics: Mechanics
+    lead: LeadField
+    points: EssentialPoints
+
+
+class State(NamedTuple):
+    """All that changes: `time` [s], `positions` [m] and `velocities` [m/s] (3, n), `ads` (f,).
+
+    `near` is the solver's warm start, and `strain` the iterations it has cost by being old: they change how fast a step
+    is solved, not its solution.
+    """
+
+    time: Array
+    positions: Array
+    velocities: Array
+    ads: Array
+    near: Preconditioner
+    strain: Array
+
+
+class StepReport(NamedTuple):
+    """How the implicit step was solved: `iterations`, and the `residual` relative to the body's net weight."""
+
+    iterations: Array
+    residual: Array
+
+
+class Frame(NamedTuple):
+    """What is recorded once per control period, at its end; the voltages [V] (e,) held during it, worst step's report.
+
+    `command` is what the controller says of itself (phase, reference, amplitude).
+    """
+
+    time: Array
+    positions: Array
+    ads: Array
+    voltages: Array
+    observation: Observation
+    command: Any
+    report: StepReport
+
+
+def face_geometry(positions: Array, faces: Array) -> tuple[Array, Array]:
+    """Centroids [m] and outward unit normals of surface faces, shape (3, f) each."""
+    a, b, c = (positions[:, faces[k]] for k in range(3))
+    normal = jnp.cross(b - a, c - a, axis=0)
+    return (a + b + c) / 3.0, normal / jnp.maximum(jnp.sqrt(jnp.sum(normal**2, axis=0)), 1e-30)
+
+
+def surface_inflow(model: Model, positions: Array, voltages: Array) -> Array:
+    """-i . n [A/m^2] on every surface face, shape (f,): positive where the current enters the gel."""
+    centroids, normals = face_geometry(positions, model.gel.faces)
+    i = current_density(model.lead, potential_coefficients(model.lead, voltages), centroids)
+    return -jnp.sum(i * normals, axis=0)
+
+
+def rest_lengths(model: Model, ads: Array) -> Array:
+    """Rest lengths of all springs [m], shape (s,), Eq. (6)."""
+    gel = model.gel
+    return rest_length(model.mechanics.spring_length, gel.p_l, ads, gel.spring_faces, gel.spring_face_weights)
+
+
+def step(model: Model, state: State, voltages: Array, dt: Array) -> tuple[State, StepReport]:
+    """One time step: `voltages` [V], shape (e,), are held for `dt` [s]."""
+    gel = model.gel
+    inflow = surface_inflow(model, state.positions, voltages)
+    ads = adsorb(state.ads, inflow, gel.p_ele, gel.p_ads, dt, gel.adsorption_step)
+    state = jax.lax.while_loop(lambda s: s.strain > STALE, lambda s: refresh(model, s, dt), state)
+    frame = body_frame(model.points, state.positions)
+    found, near = solve_step(
+        model.mechanics, state.positions, state.velocities, rest_lengths(model, ads), dt, state.near, frame
+    )
+    strain = state.strain + jnp.maximum(found.iterations - FRESH, 0)
+    after = State(state.time + dt, found.x, (found.x - state.positions) / dt, ads, near, strain)
+    return after, StepReport(found.iterations, found.residual)
+
+
+def refresh(model: Model, state: State, dt: Array) -> State:
+    """The same state with a preconditioner made for its present shape."""
+    frame = body_frame(model.points, state.positions)
+    near = build_preconditioner(
+        model.mechanics, state.positions, state.velocities, rest_lengths(model, state.ads), dt, frame
+    )
+    return state._replace(near=near, strain=jnp.zeros_like(state.strain))
+
+
+def start(model: Model, positions: Array, dt: Array) -> State:
+    """A body at rest without adsorption at `positions` [m], shape (3, n)."""
+    n, f = positions.shape[1], model.gel.faces.shape[1]
+    near = Preconditioner(jnp.zeros((3 * n, 3 * n), jnp.float32), jnp.eye(3, dtype=positions.dtype))
+    zero = jnp.zeros((), positions.dtype)
+    return refresh(model, State(zero, positions, jnp.zeros_like(positions), jnp.zeros(f, positions.dtype), near, jnp.asarray(0)), dt)
+
+
+Controller: TypeAlias = Callable[[Any, Array, Observation], tuple[Any, Array, Any]]
+"""(memory, time [s], observation) -> (memory, voltages [V] (e,), what to record of it)."""
+
+
+@partial(jax.jit, static_argnames=("controller", "periods", "steps_per_period"))
+def rollout(
+    model: Model, state: State, controller: Controller, memory: Any, dt: Array, periods: int, steps_per_period: int
+) -> tuple[State, Any, Frame]:
+    """`periods` control periods of `steps_per_period` steps `dt` [s], compiled as one scan.
+
+    The controller sees the body at the beginning of each period, and its voltages are held to the end of it. Returns
+    the last state, the controller's memory and the frames, period first.
+    """
+
+    def period(carry: tuple[State, Any], _: None) -> tuple[tuple[State, Any], Frame]:
+        state, memory = carry
+        memory, voltages, command = controller(memory, state.time, observe(model.points, state.positions))
+        state, report = jax.lax.scan(
+            lambda s, _: step(model, s, voltages, dt), state, None, length=steps_per_period
+        )
+        worst = StepReport(jnp.max(report.iterations), jnp.max(report.residual))
+        seen = observe(model.points, state.positions)
+        return (state, memory), Frame(state.time, state.positions, state.ads, voltages, seen, command, worst)
+
+    (state, memory), frames = jax.lax.scan(period, (state, memory), None, length=periods)
+    return state, memory, frames

@@ -1,0 +1,273 @@
+"""Servo, programme, templates, trajectory.
+
+| identity | one road | the other |
+|---|---|---|
+| Eq. (7) | `servo` | the printed line, both signs |
+| saturation | any amplitude | within the supply's limit |
+| programme | phase after a tick | each condition alone, all together, the clock |
+| templates | pattern of a mirrored robot | the mirrored pattern |
+| trajectory | `rise` | its ends, and the blend's polynomial |
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gelbot.control.programme import Phases, Programme, Progress, advance, begin, is_over
+from gelbot.control.servo import saturate, servo
+from gelbot.errors import BadInput
+from gelbot.field.electrodes import square_array
+from gelbot.plan.templates import TEMPLATES, template
+from gelbot.plan.trajectory import rise
+from gelbot.points import Observation
+
+MM = 1e-3
+KP, KV = 10.0 / MM, 0.5 / MM  # 10 V/mm, 0.5 V s/mm
+ARRAY = square_array(4, 4, 10 * MM, 15 * MM, 15 * MM)
+RNG = np.random.default_rng(6)
+finite = st.floats(-1e3, 1e3)
+
+
+class TestServo:
+    @given(finite, finite, finite, finite, finite)
+    def test_equation_7(self, z, z_dot, reference, kp, kv):
+        printed = kp * (z - reference) - kv * z_dot
+        assert float(servo(z, z_dot, reference, kp, kv, -1.0)) == pytest.approx(printed, rel=1e-12, abs=1e-9)
+        corrected = kp * (reference - z) - kv * z_dot
+        assert float(servo(z, z_dot, reference, kp, kv, 1.0)) == pytest.approx(corrected, rel=1e-12, abs=1e-9)
+
+    def test_corrected_pulls_to_the_reference_and_printed_away(self):
+        """E > 0 lifts the centre: below its reference the body must be given E > 0."""
+        assert float(servo(2 * MM, 0.0, 3 * MM, KP, KV, 1.0)) == pytest.approx(10.0)
+        assert float(servo(4 * MM, 0.0, 3 * MM, KP, KV, 1.0)) == pytest.approx(-10.0)
+        assert float(servo(2 * MM, 0.0, 3 * MM, KP, KV, -1.0)) == pytest.approx(-10.0)
+
+    def test_both_signs_damp_a_rise(self):
+        for sign in (1.0, -1.0):
+            assert float(servo(3 * MM, 1 * MM, 3 * MM, KP, KV, sign)) == pytest.approx(-0.5)
+
+    def test_closed_loop_of_an_integrator(self):
+        """A centre that rises in proportion to E: the corrected law settles, the printed one runs away."""
+        ends = {}
+        for sign in (1.0, -1.0):
+            z = z_dot = 0.0
+            for _ in range(700):
+                e = float(saturate(servo(z, z_dot, 1 * MM, KP, KV, sign), 10.0))
+                z_dot = 0.05 * MM * e  # m/s per volt
+                z += 0.02 * z_dot
+            ends[sign] = z
+        assert ends[1.0] == pytest.approx(1 * MM, rel=1e-2)
+        assert ends[-1.0] < 0.0
+
+    @given(st.floats(-1e9, 1e9), st.floats(0.0, 100.0))
+    def test_the_supply_limits(self, amplitude, limit):
+        given_out = float(saturate(amplitude, limit))
+        assert abs(given_out) <= limit
+        if abs(amplitude) <= limit:
+            assert given_out == amplitude
+
+
+INF = float("inf")
+NEVER = {"heights": -INF, "tip_angles": -INF, "normals": INF, "conditional": False, "durations": INF}
+
+
+def programme(*ends: dict[str, float], amplitudes: tuple[float, ...] | None = None) -> Programme:
+    """Phases that end as told (the last one included), each with a pattern and an amplitude of its own."""
+    rows = [{**NEVER, "conditional": bool(set(e) - {"durations"}), **e} for e in ends]
+    count = len(rows)
+    phases = Phases(
+        patterns=jnp.asarray(np.linspace(-1.0, 1.0, count * 4).reshape(count, 4)),
+        amplitudes=jnp.asarray(amplitudes or [10.0 - k for k in range(count)]),
+        uses_servo=jnp.zeros(count, bool),
+        holds=jnp.full(count, jnp.nan),
+        **{key: jnp.asarray([row[key] for row in rows]) for key in NEVER},
+    )
+    return Programme(
+        phases, jnp.array([0.0, 10.0]), jnp.array([0.0, 5 * MM]), *map(jnp.asarray, (KP, KV, 1.0, 10.0, 0.1))
+    )
+
+
+def seen(height: float = 0.0, tips: tuple[float, ...] = (0.0, 0.0), normal: float = 1.0) -> Observation:
+    return Observation(
+        jnp.array([0.0, 0.0, height]), jnp.array([0.0, 0.0, normal]), jnp.zeros((3, len(tips))), jnp.asarray(tips)
+    )
+
+
+def at(phase: int, began: float = 0.0) -> Progress:
+    return Progress(jnp.asarray(phase), jnp.asarray(began), jnp.asarray(0.0))
+
+
+class TestProgramme:
+    @pytest.mark.parametrize(
+        ("condition", "before", "after"),
+        [
+            ({"heights": 5 * MM}, seen(4.9 * MM), seen(5.0 * MM)),
+            ({"tip_angles": 1.4}, seen(tips=(1.3, 1.2)), seen(tips=(0.1, 1.45))),
+            ({"normals": -0.85}, seen(normal=-0.8), seen(normal=-0.9)),
+            ({"heights": 5 * MM, "tip_angles": 1.4}, seen(6 * MM, (1.3, 0.0)), seen(6 * MM, (1.5, 0.0))),
+            ({"heights": 5 * MM, "tip_angles": 1.4}, seen(4 * MM, (1.5, 0.0)), seen(6 * MM, (1.5, 0.0))),
+            ({"heights": 5 * MM, "normals": 0.0}, seen(6 * MM, normal=0.5), seen(6 * MM, normal=-0.5)),
+        ],
+        ids=["height", "leading tip", "normal", "tip is missing", "height is missing", "normal is missing"],
+    )
+    def test_ends_when_all_its_conditions_hold(self, condition, before, after):
+        phases = programme(condition, {}).phases
+        assert not is_over(phases, at(0), jnp.asarray(1.0), before)
+        assert is_over(phases, at(0), jnp.asarray(1.0), after)
+
+    def test_ends_when_it_is_old_whatever_its_conditions(self):
+        phases = programme({"heights": 5 * MM, "durations": 3.0}, {}).phases
+        assert not is_over(phases, at(0, began=2.0), jnp.asarray(4.9), seen())
+        assert is_over(phases, at(0, began=2.0), jnp.asarray(5.0), seen())
+        assert is_over(phases, at(0, began=2.0), jnp.asarray(2.0), seen(6 * MM))
+
+    def test_a_phase_without_conditions_waits_for_its_time(self):
+        phases = programme({"durations": 3.0}, {}).phases
+        assert not is_over(phases, at(0), jnp.asarray(2.0), seen(1.0, (3.0,), -1.0))
+
+    def test_the_last_phase_never_ends(self):
+        phases = programme({"durations": 1.0}, {"durations": 1.0, "heights": 0.0}).phases
+        assert not is_over(phases, at(1), jnp.asarray(1e9), seen(1.0))
+
+    def test_phases_keep_their_order(self):
+        plan = programme({"heights": 2 * MM}, {"durations": 1.0}, {"normals": -0.5}, {})
+        progress = begin(seen())
+        story = []
+        for k in range(60):
+            z = 0.1 * MM * k
+            normal = -1.0 if k > 45 else 1.0
+            progress, voltages, command = advance(plan, progress, jnp.asarray(0.1 * k), seen(z, normal=normal))
+            story.append(int(command.phase))
+            expected = (10.0 - story[-1]) * plan.phases.patterns[story[-1]]
+            assert np.asarray(voltages) == pytest.approx(np.asarray(expected))
+        assert np.all(np.isin(np.diff(story), [0, 1]))
+        assert story.index(1) == 20  # at 2 mm
+        assert story.index(2) == 30  # a second later
+        assert story.index(3) == 46  # when it lies on its back
+        assert story[-1] == 3
+
+    def test_servo_phase(self):
+        plan = programme({}, {})
+        plan = plan._replace(phases=plan.phases._replace(uses_servo=jnp.array([True, False])))
+        progress = begin(seen(1 * MM))
+        # At 4 s the reference is 2 mm; the body rose 0.05 mm in the last period of 0.1 s.
+        progress, voltages, command = advance(plan, progress, jnp.asarray(4.0), seen(1.05 * MM))
+        expected = 10.0 * (2.0 - 1.05) - 0.5 * 0.5
+        assert float(command.reference) == pytest.approx(2 * MM)
+        assert float(command.amplitude) == pytest.approx(expected)
+        assert np.asarray(voltages) == pytest.approx(expected * np.asarray(plan.phases.patterns[0]))
+        assert float(progress.last_height) == pytest.approx(1.05 * MM)
+        # Far below it: the supply's limit.
+        _, _, command = advance(plan, progress, jnp.asarray(1e3), seen(1.05 * MM))
+        assert float(command.amplitude) == pytest.approx(10.0)
+
+    def test_servo_phase_that_holds_its_own_height(self):
+        plan = programme({}, {})
+        held = {"uses_servo": jnp.ones(2, bool), "holds": jnp.array([jnp.nan, 4 * MM])}
+        plan = plan._replace(phases=plan.phases._replace(**held))
+        for phase, reference in ((0, 2 * MM), (1, 4 * MM)):
+            progress = at(phase)._replace(last_height=jnp.asarray(3.5 * MM))
+            _, _, command = advance(plan, progress, jnp.asarray(4.0), seen(3.5 * MM))
+            assert float(command.reference) == pytest.approx(reference)
+            expected = np.clip(10.0 * (reference - 3.5 * MM) / MM, -10.0, 10.0)
+            assert float(command.amplitude) == pytest.approx(expected)
+
+    def test_the_limit_holds_for_fixed_amplitudes_too(self):
+        plan = programme({}, amplitudes=(-25.0,))
+        _, voltages, command = advance(plan, begin(seen()), jnp.asarray(0.0), seen())
+        assert float(command.amplitude) == -10.0
+        assert float(jnp.max(jnp.abs(voltages))) <= 10.0
+
+    def test_compiles(self):
+        plan = programme({"heights": 2 * MM}, {})
+        tick = jax.jit(advance)
+        progress, _, command = tick(plan, begin(seen()), jnp.asarray(0.0), seen(3 * MM))
+        assert int(command.phase) == 1
+        assert int(progress.phase) == 1
+
+
+def pattern(name: str, x: float = 12.5 * MM, y: float = 12.5 * MM) -> np.ndarray:
+    """A template as rows of the array, (4, 4)."""
+    return template(name, ARRAY, np.array([x, y])).reshape(4, 4)
+
+
+class TestTemplates:
+    def test_ridge_is_the_diagonal_of_figure_6a(self):
+        for k in (12.5 * MM, -12.5 * MM, 37.5 * MM):
+            assert pattern("ridge", k, k) == pytest.approx(1.0 - 2.0 * np.eye(4))
+
+    def test_crossed_ridge_of_figure_6b(self):
+        rows = pattern("crossed-ridge")
+        assert (rows < 0).sum() == 3
+        assert np.argwhere(rows < 0).tolist() == [[1, 3], [2, 2], [3, 1]]
+
+    def test_off_the_diagonal_the_ridge_is_shorter(self):
+        assert (pattern("ridge", 12.5 * MM, -12.5 * MM) < 0).sum() == 3
+        assert (pattern("ridge", 37.5 * MM, -37.5 * MM) < 0).sum() == 1
+        assert (pattern("crossed-ridge", 12.5 * MM, -12.5 * MM) < 0).sum() == 4
+
+    @pytest.mark.parametrize(("x", "y"), [(12.5, 12.5), (-12.5, 12.5), (37.5, 12.5), (-37.5, -12.5)])
+    def test_mirror_images(self, x, y):
+        x, y = x * MM, y * MM
+        swapped = {"ridge": "crossed-ridge", "crossed-ridge": "ridge"}
+        for name in ("ridge", "crossed-ridge", "cathode", "anode"):
+            mirrored = swapped.get(name, name)
+            assert pattern(mirrored, -x, y) == pytest.approx(pattern(name, x, y)[:, ::-1])
+            assert pattern(mirrored, x, -y) == pytest.approx(pattern(name, x, y)[::-1])
+            # The diagonal itself is a mirror that leaves the ridge a ridge.
+            assert pattern(name, y, x) == pytest.approx(pattern(name, x, y).T)
+        for name, opposite in (("plus", "minus"), ("minus", "plus")):
+            assert pattern(opposite, -x, -y) == pytest.approx(pattern(name, x, y)[::-1, ::-1])
+
+    def test_the_robot_lies_under_minus(self):
+        for name in ("ridge", "crossed-ridge", "cathode"):
+            assert pattern(name)[2, 2] == -1.0
+        assert pattern("anode") == pytest.approx(-pattern("cathode"))
+        assert (pattern("cathode") < 0).sum() == 1
+
+    def test_the_nearest_electrode_is_the_robots(self):
+        assert pattern("cathode", 15 * MM, 9 * MM) == pytest.approx(pattern("cathode"))
+
+    def test_half_planes_and_plain_fields(self):
+        down, right = np.meshgrid(np.arange(4), np.arange(4), indexing="ij")
+        assert pattern("plus") == pytest.approx(np.where(down + right > 4, -1.0, 1.0))
+        assert pattern("minus") == pytest.approx(np.where(down + right < 4, -1.0, 1.0))
+        assert pattern("uniform")[0] == pytest.approx([-1.0, -1.0 / 3.0, 1.0 / 3.0, 1.0])
+        assert np.ptp(pattern("uniform"), axis=0) == pytest.approx(np.zeros(4))
+        assert not np.any(pattern("off"))
+
+    def test_all_are_shares_of_the_amplitude(self):
+        for name in TEMPLATES:
+            assert np.abs(pattern(name)).max() <= 1.0
+
+    def test_unknown_name(self):
+        with pytest.raises(BadInput, match="crossed-ridge"):
+            pattern("rigde")
+
+
+class TestTrajectory:
+    @given(st.floats(0.0, 1e-2), st.floats(0.0, 1e-2), st.floats(0.1, 100.0), st.floats(0.0, 1.0))
+    def test_ends(self, low, high, duration, rounding):
+        times, heights = rise(low, high, duration, rounding)
+        assert (times[0], times[-1]) == pytest.approx((0.0, duration))
+        assert (heights[0], heights[-1]) == pytest.approx((low, high), abs=1e-12)
+        assert np.all(np.diff(heights) * np.sign(high - low) >= -1e-15)
+
+    def test_straight_line(self):
+        times, heights = rise(1 * MM, 5 * MM, 40.0, rounding=0.0)
+        assert heights == pytest.approx(1 * MM + 4 * MM * times / 40.0)
+
+    def test_minimum_jerk(self):
+        times, heights = rise(0.0, 1.0, 1.0, rounding=1.0, count=2001)
+        assert heights == pytest.approx(10 * times**3 - 15 * times**4 + 6 * times**5, abs=1e-12)
+        velocity = np.gradient(heights, times)
+        acceleration = np.gradient(velocity, times)
+        assert abs(velocity[[0, -1]]).max() < 1e-3
+        assert abs(acceleration[[0, -1]]).max() < 0.05
+        assert velocity.max() == pytest.approx(1.875, rel=1e-4)  # 15/8 of the mean, in the middle
+        assert heights[1000] == pytest.approx(0.5)

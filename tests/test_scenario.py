@@ -1,0 +1,216 @@
+"""Scenarios: what comes with gelbot is sound, text and scenario say the same, and each kind of mistake is explained."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomlkit
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gelbot.errors import BadInput
+from gelbot.scenario import built_in_text, description, load, names
+from gelbot.scenario.overrides import with_overrides
+
+REST = 'thickness="1 mm", mesh_size="1 mm", layers=2, pose={position=["0 mm","0 mm"], heading="0 deg", lift="0 mm"}'
+BOW_TIE = (
+    'body={shape="outline", points=[["0 mm","0 mm"],["9 mm","9 mm"],["9 mm","0 mm"],["0 mm","9 mm"]], ' + REST + "}"
+)
+NO_OUTLINE = f'body={{shape="outline", {REST}}}'
+FROM_SVG = 'body={shape="outline", svg="%s.svg", width="8 mm", ' + REST + "}"
+SQUARE_SVG = '<svg xmlns="http://www.w3.org/2000/svg"><path d="M0 0 L10 0 L10 10 L0 10 Z"/></svg>'
+
+# The change, the key that the message names, the value given, a part of what is allowed.
+MISTAKES = [
+    ("body.thicknes=1 mm", "body.thicknes", "'1 mm'", "keys thickness"),
+    ("nonsense=1", "nonsense", "1", "keys name"),
+    ("body.pose.tilt=1 deg", "body.pose.tilt", "'1 deg'", "keys position, heading, lift"),
+    ("programme.phases.1.until.hight=1 mm", "programme.phases.1.until.hight", "'1 mm'", "keys height"),
+    ("body.thickness=1", "body.thickness", "1", 'such as "1 mm"'),
+    ('body.thickness="1"', "body.thickness", "'1'", 'such as "1 mm"'),
+    ("body.thickness=1 s", "body.thickness", "'1 s'", "a length"),
+    ("body.thickness=0 mm", "body.thickness", "'0 mm'", "greater than 0"),
+    ("body.thickness=-1 mm", "body.thickness", "'-1 mm'", "greater than 0"),
+    ("body.thickness=nan mm", "body.thickness", "'nan mm'", "finite"),
+    ("body.thickness=nan", "body.thickness", "nan", "a length"),
+    ("body.pose.lift=-1 mm", "body.pose.lift", "'-1 mm'", "at least 0"),
+    ("body.pose.heading=1 m", "body.pose.heading", "'1 m'", "an angle"),
+    ("body.pose.position=1 mm", "body.pose.position", "'1 mm'", "a list of two values"),
+    ("body.layers=1", "body.layers", "1", "at least 2"),
+    ("body.layers=2.5", "body.layers", "2.5", "a whole number"),
+    ("body.shape=circle", "body.shape", "'circle'", "starfish, strip, outline"),
+    ("body.mesh_size=1 um", "body.mesh_size", "'0.001 mm'", "at least"),
+    ("body.arm_length=9 mm", "body.arm_length", "'9 mm'", "less than"),
+    ("body.root_width=6 mm", "body.root_width", "'6 mm'", "where neighbouring arms meet"),
+    (BOW_TIE, "body.points", "Self-intersection", "does not cross itself"),
+    (NO_OUTLINE, "body.points", "neither", "one of points and svg"),
+    (FROM_SVG % "none", "body.svg", "none.svg", "a readable SVG file"),
+    ("body.pose.position.0=65 mm", "body.pose.position", "65 mm", "the array's reach"),
+    ("material.p_l=1", "material.p_l", "1", "less than 1"),
+    ("material.p_l=nan", "material.p_l", "nan", "less than 1"),
+    ("material.p_ads=0", "material.p_ads", "0", "greater than 0 and at most 1"),
+    ("material.p_ele=0.02 mA/cm^2", "material.p_ele", "'0.02 mA/cm^2'", "an area per current"),
+    ("electrodes.rows=0", "electrodes.rows", "0", "at least 1"),
+    ("electrodes.gap=0.8 mm", "electrodes.gap", "'0.8 mm'", "more than body.thickness"),
+    ("electrodes.panels=50", "electrodes.panels", "50", "at most 10000"),
+    ("tank.depth=15 mm", "tank.depth", "'15 mm'", "more than electrodes.gap"),
+    ('tank.size=["80 mm", "150 mm"]', "tank.size", "80 mm", "at least 85 mm"),
+    ("tank.friction=-0.1", "tank.friction", "-0.1", "at least 0"),
+    ("supply.limit=0 V", "supply.limit", "'0 V'", "greater than 0"),
+    (f"programme.phases.0.pattern={[1] * 17}", "programme.phases.0.pattern", "17 voltages", "16 voltages"),
+    (f"programme.phases.0.pattern={[[1] * 8] * 2}", "programme.phases.0.pattern", "2 rows", "4 rows of 4"),
+    (f"programme.phases.0.pattern={[1.5] * 16}", "programme.phases.0.pattern", "1.5", "at most 1"),
+    ("programme.phases.0.pattern=rigde", "programme.phases.0.pattern", "'rigde'", "Try: ridge"),
+    ("programme.phases.1.drive=11 V", "programme.phases.1.drive", "'11 V'", "supply.limit"),
+    ("programme.phases.1.drive=full", "programme.phases.1.drive", "'full'", '"servo"'),
+    ("programme.phases.0.until={}", "programme.phases.0.until", "{}", "at least one of height"),
+    ("programme.phases=[]", "programme.phases", "[]", "not empty"),
+    ("programme.servo.sign=plus", "programme.servo.sign", "'plus'", "'corrected' or 'printed'"),
+    ("simulation.time_step=30 ms", "programme.control_period", "'0.1 s'", "whole multiple of simulation.time_step"),
+    ("recording.interval=150 ms", "recording.interval", "'0.15 s'", "whole multiple of programme.control_period"),
+    ("recording.chunk=250 ms", "recording.chunk", "'0.25 s'", "whole multiple of recording.interval"),
+    ("simulation.duration=0.05 s", "simulation.duration", "'0.05 s'", "whole multiple of recording.interval"),
+    ("simulation.precision=float16", "simulation.precision", "'float16'", "'float64' or 'float32'"),
+    ("name=../elsewhere", "name", "'../elsewhere'", "letters"),
+    ("supply=10", "supply", "10", "a table"),
+]
+
+
+def with_body_in_tank(x: str) -> list[str]:
+    return ['tank.size=["90 mm", "90 mm"]', f"body.pose.position.0={x}"]
+
+
+@pytest.mark.parametrize(("change", "key", "given", "allowed"), MISTAKES)
+def test_a_mistake_is_explained_in_terms_of_the_file(tmp_path: Path, change: str, key: str, given: str, allowed: str):
+    file = tmp_path / "mine.toml"
+    file.write_text(with_overrides(built_in_text("turn-over"), [change]), encoding="utf-8")
+    with pytest.raises(BadInput) as refused:
+        load(str(file))
+    assert refused.value.where in (f"{file}: {key}", f"{file}: {key}.0")
+    assert f"got {given}" in str(refused.value) or given in repr(refused.value.given)
+    assert allowed in str(refused.value)
+
+
+def test_a_body_through_the_wall_of_the_tank_is_refused():
+    load("turn-over", with_body_in_tank("37 mm"))
+    with pytest.raises(BadInput, match="inside the tank"):
+        load("turn-over", with_body_in_tank("38 mm"))
+
+
+def test_a_missing_key_says_what_belongs_there():
+    text = built_in_text("turn-over").replace('thickness = "0.8 mm"\n', "")
+    with pytest.raises(BadInput, match=r"body.thickness: got nothing; allowed: .* a length with its unit"):
+        load_text(text)
+
+
+def test_a_servo_phase_needs_its_tables():
+    with pytest.raises(BadInput, match=r"programme.reference: got nothing; .*phases.0.drive is \"servo\""):
+        load("dome", ["programme.phases.0.drive=servo"])
+
+
+def test_several_mistakes_give_the_first_and_a_count():
+    with pytest.raises(BadInput, match=r"body.thickness .*got '1 s'.* \(and 2 more errors\)"):
+        load("turn-over", ["body.thickness=1 s", "material.p_l=2", "supply.limit=1"])
+
+
+def load_text(text: str):
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "scenario.toml"
+        file.write_text(text, encoding="utf-8")
+        return load(str(file))
+
+
+@pytest.mark.parametrize("name", names())
+def test_built_in_scenarios_load_and_their_text_reads_as_the_same(name: str):
+    loaded = load(name)
+    assert loaded.scenario.name == loaded.source == name
+    assert loaded.text == built_in_text(name)
+    assert load_text(loaded.text).scenario == loaded.scenario
+    assert len(description(name)) > 20
+
+
+def test_the_expected_scenarios_are_there():
+    assert {"turn-over", "early-switch", "dome", "strip"} <= set(names())
+
+
+def test_values_are_si():
+    s = load("turn-over", ["body.pose.heading=180 deg", "electrodes.gap=15 mm", "programme.servo.kp=10 V/mm"]).scenario
+    assert s.body.pose.heading == pytest.approx(np.pi)
+    assert s.electrodes.gap == pytest.approx(0.015)
+    assert s.programme.servo is not None
+    assert s.programme.servo.kp == pytest.approx(1e4)
+
+
+def leaves(value: object, path: tuple[str, ...] = ()):
+    """Dotted keys and values of everything that is no table and no list."""
+    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else None
+    if inner is None:
+        yield ".".join(path), value
+    else:
+        for key, below in inner:
+            yield from leaves(below, (*path, str(key)))
+
+
+LEAVES = [(name, key) for name in names() for key, _ in leaves(tomllib.loads(built_in_text(name)))]
+VALUES = st.one_of(
+    st.integers(-5, 5), st.booleans(), st.text("abc \"'\\\n#[]=é", max_size=8), st.lists(st.integers(0, 3))
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.sampled_from(LEAVES), VALUES)
+def test_a_change_changes_one_value_and_nothing_else(place: tuple[str, str], value: object):
+    name, key = place
+    before = dict(leaves(tomllib.loads(built_in_text(name))))
+    text = with_overrides(built_in_text(name), [f"{key}={tomlkit.item(value).as_string()}"])
+    after = dict(leaves(tomllib.loads(text)))
+    kept = {k: v for k, v in after.items() if k != key and not k.startswith(f"{key}.")}
+    assert kept == {k: v for k, v in before.items() if k != key}
+    assert {k: v for k, v in after.items() if k not in kept} == dict(leaves(value, tuple(key.split("."))))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        ["tank.depth=30 mm", "body.root_width=3 mm", "programme.phases.2.until.after=3 s"],
+        ['programme.phases.0={name="a", pattern="off", drive="0 V", until={after="1 s"}}', "supply.limit=20 V"],
+        ['programme.phases=[{name="a", pattern="ridge", drive="5 V"}]', "programme.phases.0.until.after=2 s"],
+        ['tank={floor_depth="0 mm", friction=0}', "body.pose.position.1=0 mm", "name=mine"],
+    ],
+)
+def test_changed_text_reads_as_the_changed_scenario(changes: list[str]):
+    loaded = load("turn-over", changes)
+    assert load_text(loaded.text).scenario == loaded.scenario != load("turn-over").scenario
+    assert "# Fig. 3" in loaded.text
+
+
+@pytest.mark.parametrize(
+    "change", ["", "=", "a", ".a=1", "a..b=1", "body.arms.x=1", "programme.phases.9.name=x", "programme.phases.name=x"]
+)
+def test_a_change_that_leads_nowhere_is_refused(change: str):
+    with pytest.raises(BadInput) as refused:
+        load("turn-over", [change])
+    assert refused.value.where == "--set"
+    assert refused.value.given in (change, change.partition("=")[0])
+
+
+def test_an_outline_from_svg_is_written_out_as_points(tmp_path: Path):
+    (tmp_path / "square.svg").write_text(SQUARE_SVG)
+    file = tmp_path / "mine.toml"
+    body = FROM_SVG % "square"
+    file.write_text(with_overrides(built_in_text("turn-over"), [body]), encoding="utf-8")
+    loaded = load(str(file))
+    assert loaded.scenario.body.outline().area == pytest.approx(64e-6)
+    assert "svg" not in tomllib.loads(loaded.text)["body"]
+    assert load_text(loaded.text).scenario == loaded.scenario
+
+
+def test_a_written_pattern_may_stand_in_rows():
+    flat = load("dome", [f"programme.phases.0.pattern={[0.5] * 8 + [-1] * 8}"]).scenario.programme.phases[0]
+    rows = load("dome", [f"programme.phases.0.pattern={[[0.5] * 4] * 2 + [[-1] * 4] * 2}"]).scenario.programme.phases[0]
+    assert flat.template is rows.template is None
+    assert flat.shares == rows.shares == (0.5,) * 8 + (-1.0,) * 8
+    assert load("dome").scenario.programme.phases[0].template == "ridge"
