@@ -34,6 +34,12 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "slow: takes more than a few seconds")
 
 
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """The same numbers for every test, whichever others run."""
+    return np.random.default_rng(20)
+
+
 @pytest.fixture(scope="session")
 def star() -> Body:
     """The starfish of Fig. 3: 15 mm wide, arms of 5.45 mm, 3.5 mm wide at the root; 0.8 mm thick."""
@@ -79,7 +85,9 @@ def make_mechanics(
     return Mechanics(
         springs=jnp.asarray(body.springs),
         incidence=jnp.asarray(node_springs(body.springs, body.nodes.shape[1])),
-        stiffness=jnp.asarray(spring_stiffness(young_modulus, body.spring_volume, body.spring_length)),
+        stiffness=jnp.asarray(
+            spring_stiffness(young_modulus, body.spring_volume, body.spring_length, body.layer_count)
+        ),
         spring_length=jnp.asarray(body.spring_length),
         node_mass=jnp.asarray(density * body.node_volume),
         weight=jnp.asarray(weight),
@@ -96,7 +104,13 @@ def make_mechanics(
 
 @partial(jax.jit, static_argnames=("steps",))
 def march(
-    mech: Mechanics, x: Array, v: Array, rest: Array, dt: Array, steps: int, push: Array = jnp.zeros(3)  # noqa: B008 - constant
+    mech: Mechanics,
+    x: Array,
+    v: Array,
+    rest: Array,
+    dt: Array,
+    steps: int,
+    push: Array = jnp.zeros(3),  # noqa: B008 - constant
 ) -> Motion:
     """March a body `steps` times `dt` [s]; `push` [m/s^2], shape (3,), is a uniform extra acceleration.
 

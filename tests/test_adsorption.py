@@ -18,7 +18,6 @@ from gelbot.adsorption import adsorb
 
 D = 1.0
 P_ELE = 2e-3  # m^2/A, 0.02 cm^2/mA
-RNG = np.random.default_rng(2)
 
 
 def printed(ads: float, i_normal: float, p_ele: float, p_ads: float) -> float:
@@ -32,8 +31,8 @@ def printed(ads: float, i_normal: float, p_ele: float, p_ads: float) -> float:
 
 
 @pytest.mark.parametrize("p_ads", [0.5, 0.99, 0.9999, 1.0])
-def test_equals_the_printed_recursion_at_the_papers_step(p_ads):
-    i_normal = RNG.uniform(-150.0, 150.0, (30, 6))
+def test_equals_the_printed_recursion_at_the_papers_step(p_ads, rng):
+    i_normal = rng.uniform(-150.0, 150.0, (30, 6))
     mine, theirs = jnp.full(6, 0.4), [0.4] * 6
     for row in i_normal:
         mine = adsorb(mine, jnp.asarray(-row), P_ELE, p_ads, D, D)

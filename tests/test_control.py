@@ -29,7 +29,6 @@ from gelbot.points import Observation
 MM = 1e-3
 KP, KV = 10.0 / MM, 0.5 / MM  # 10 V/mm, 0.5 V s/mm
 ARRAY = square_array(4, 4, 10 * MM, 15 * MM, 15 * MM)
-RNG = np.random.default_rng(6)
 finite = st.floats(-1e3, 1e3)
 
 

@@ -16,11 +16,9 @@ from hypothesis import strategies as st
 from gelbot.errors import BadInput
 from gelbot.linkage import bend, fit_p_dv, joints, orientations, p_dv_from_p_l, p_l_from_p_dv, turning_angles
 
-RNG = np.random.default_rng(1)
 
-
-def test_equations_4_and_5_link_by_link():
-    ads, h, p_dv = RNG.uniform(0, 1, 9), RNG.uniform(0.5e-3, 1e-3, 9), 2e-4
+def test_equations_4_and_5_link_by_link(rng):
+    ads, h, p_dv = rng.uniform(0, 1, 9), rng.uniform(0.5e-3, 1e-3, 9), 2e-4
     gel = bend(ads, h, p_dv, 1e-3)
     for j in range(1, 9):
         dv = 2.0 * p_dv / (h[j - 1] + h[j]) * (ads[j - 1] + ads[j])
@@ -43,8 +41,8 @@ def test_uniform_adsorption_is_an_arc():
     )
 
 
-def test_links_keep_their_length_and_bend_towards_the_adsorbing_side():
-    gel = bend(RNG.uniform(0.1, 1, 20), 1e-3, 5e-5, 1e-3)
+def test_links_keep_their_length_and_bend_towards_the_adsorbing_side(rng):
+    gel = bend(rng.uniform(0.1, 1, 20), 1e-3, 5e-5, 1e-3)
     assert np.linalg.norm(np.diff(joints(gel.v, 1e-3), axis=1), axis=0) == pytest.approx(np.full(20, 1e-3))
     assert np.all(np.diff(gel.r[1]) > 0.0)
     assert bend(np.zeros(5), 1e-3, 5e-5, 1e-3).r[1] == pytest.approx(np.zeros(5), abs=0.0)
@@ -72,11 +70,11 @@ def test_p_l_and_p_dv_are_inverse(p_l, length):
     assert p_l_from_p_dv(p_dv_from_p_l(p_l, length), length) == pytest.approx(p_l, rel=1e-12)
 
 
-def test_fit_recovers_p_dv():
-    ads, h = RNG.uniform(0, 1, 60), RNG.uniform(0.8e-3, 1.2e-3, 60)
+def test_fit_recovers_p_dv(rng):
+    ads, h = rng.uniform(0, 1, 60), rng.uniform(0.8e-3, 1.2e-3, 60)
     dv = turning_angles(ads, h, 3e-4)
     assert fit_p_dv(dv, ads, h) == pytest.approx(3e-4, rel=1e-12)
-    noisy = dv + RNG.normal(0.0, 0.02, dv.shape)
+    noisy = dv + rng.normal(0.0, 0.02, dv.shape)
     best = fit_p_dv(noisy, ads, h)
 
     def misfit(p_dv: float) -> float:

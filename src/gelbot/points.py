@@ -5,14 +5,17 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
+
+from gelbot.body.lattice import Body
 
 
 class EssentialPoints(NamedTuple):
     """How to read the points: weights over the nodes, `centre` (n,), `tips` and `tip_bases` (a, n), and the `hub`.
 
-    `hub` (3, m): triangles of columns around the centre; `hub_weights` (h, n): means over the thickness, row `h` being
-    column `hub`'s index; so the normal belongs to the mid-surface.
+    `hub` (3, m): triangles around the centre, of columns of nodes whose means over the thickness are `hub_weights` (c, n):
+    the normal belongs to the mid-surface.
     """
 
     centre: Array
@@ -33,6 +36,22 @@ class Observation(NamedTuple):
     normal: Array
     tips: Array
     tip_angles: Array
+
+
+def essential_points(body: Body) -> EssentialPoints:
+    """The essential points of a body: its centre, tips and middle."""
+    columns, hub = np.unique(body.hub, return_inverse=True)
+    per_layer = body.nodes.shape[1] // body.layer_count
+    weights = np.zeros((len(columns), body.nodes.shape[1]))
+    for layer in range(body.layer_count):
+        weights[np.arange(len(columns)), columns + layer * per_layer] = 1.0 / body.layer_count
+    return EssentialPoints(
+        centre=jnp.asarray(body.centre),
+        tips=jnp.asarray(body.tips),
+        tip_bases=jnp.asarray(body.tip_bases),
+        hub=jnp.asarray(hub.reshape(body.hub.shape)),
+        hub_weights=jnp.asarray(weights),
+    )
 
 
 def observe(points: EssentialPoints, positions: Array) -> Observation:

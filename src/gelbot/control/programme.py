@@ -104,3 +104,16 @@ def advance(
     amplitude = saturate(jnp.where(phases.uses_servo[phase], driven, phases.amplitudes[phase]), programme.limit)
     voltages = amplitude * phases.patterns[phase]
     return Progress(phase, began, z), voltages, Command(phase, amplitude, reference)
+
+
+class Playing(NamedTuple):
+    """A programme being played: what it is and where it stands; the memory of `play`."""
+
+    programme: Programme
+    progress: Progress
+
+
+def play(memory: Playing, time: Array, observation: Observation) -> tuple[Playing, Array, Command]:
+    """`advance` in the form that `gelbot.simulate.rollout` calls a controller."""
+    progress, voltages, command = advance(memory.programme, memory.progress, time, observation)
+    return Playing(memory.programme, progress), voltages, command

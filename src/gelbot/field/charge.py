@@ -10,8 +10,8 @@ that sum_p q_p = 0. Everything is linear in the voltages; one solve for unit vol
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +25,9 @@ from gelbot.field.panel import point_potential, square_potential
 
 CLOSED_FORM_DISTANCE = 4.0
 """Beyond this many panel sides a panel's potential is that of a point, with a relative error below (1/4)^2 / 12 = 0.5 %."""
+
+CHUNK = 512
+"""Points that are computed at once: few enough that their table stays in the processor's cache."""
 
 
 @dataclass(frozen=True)
@@ -57,21 +60,15 @@ class FieldSolution:
 
     def lead_potential(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Potential [V/V] at `points` [m], shape (3, p), for a unit voltage on each electrode; shape (e, p)."""
-        problem = self.problem
-        lead = [
-            _potential(problem, chunk) @ self.panel_current + self.bulk_potential
-            for chunk in np.array_split(points, max(1, points.shape[1] // 2000), axis=1)
-        ]
-        return np.concatenate(lead).T
+        potentials = [part @ self.panel_current for part in _potentials(self.problem, points)]
+        return np.concatenate(potentials).T + self.bulk_potential[:, None]
 
 
 def build_problem(array: ElectrodeArray, tank: Tank, conductivity: float, panels_per_side: int) -> FieldProblem:
     """Cut the electrodes into panels and compute their influence on each other."""
     panels = panels_of(array, panels_per_side)
     empty = FieldProblem(array, tank, conductivity, panels, np.zeros((0, 0)))
-    influence = np.concatenate(
-        [_potential(empty, c) for c in np.array_split(panels.centres, max(1, len(panels.electrode) // 512), axis=1)]
-    )
+    influence = np.concatenate(list(_potentials(empty, panels.centres)))
     return FieldProblem(array, tank, conductivity, panels, influence)
 
 
@@ -89,15 +86,23 @@ def solve(problem: FieldProblem) -> FieldSolution:
     return FieldSolution(problem, answer[:q] / scale, answer[q])
 
 
-def _potential(problem: FieldProblem, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Potential at `points` (3, p) per unit current of each panel [V/A], images summed; shape (p, q)."""
-    panels = problem.panels
-    total = np.zeros((points.shape[1], panels.centres.shape[1]))
+def _potentials(problem: FieldProblem, points: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
+    """Potential at `points` (3, p) per unit current of each panel [V/A], images summed; parts of shape (some, q)."""
+    panels, factor = problem.panels, 1.0 / (4.0 * np.pi * problem.conductivity)
+    near: list[NDArray[np.float64]] = []
+    far: list[NDArray[np.float64]] = []
+    weights: tuple[list[float], list[float]] = [], []
     for image in images(problem.tank):
         centres = image.sign[:, None] * panels.centres + image.shift[:, None]
-        near = _distance_to_solution(problem.tank, centres) < CLOSED_FORM_DISTANCE * panels.side
-        total += image.weight * np.asarray(_kernel(jnp.asarray(points), jnp.asarray(centres), panels.side, near))
-    return total / (4.0 * np.pi * problem.conductivity)
+        is_near = _distance_to_solution(problem.tank, centres) < CLOSED_FORM_DISTANCE * panels.side
+        (near if is_near else far).append(centres)
+        weights[0 if is_near else 1].append(image.weight * factor)
+    sources = [np.array(c).reshape(-1, *panels.centres.shape) for c in (near, far)]
+    scales = [np.array(w) for w in weights]
+    for part in np.array_split(points, max(1, points.shape[1] // CHUNK), axis=1):
+        # Parts of one length are compiled once.
+        padded = np.pad(part, ((0, 0), (0, -part.shape[1] % CHUNK)), mode="edge")
+        yield np.asarray(_kernel(padded, *sources, *scales, panels.side))[: part.shape[1]]
 
 
 def _distance_to_solution(tank: Tank, centres: NDArray[np.float64]) -> float:
@@ -109,7 +114,21 @@ def _distance_to_solution(tank: Tank, centres: NDArray[np.float64]) -> float:
     return float(np.linalg.norm(outside, axis=0).min())
 
 
-@partial(jax.jit, static_argnames=("near",))
-def _kernel(points: Array, centres: Array, side: float, near: bool) -> Array:
-    offset = points[:, :, None] - centres[:, None, :]
-    return square_potential(offset, side) if near else point_potential(offset)
+@jax.jit
+def _kernel(points: Array, near: Array, far: Array, near_weight: Array, far_weight: Array, side: Array) -> Array:
+    """Weighted sum over near images, in closed form, and far ones (i, 3, q), as points; shape (p, q)."""
+
+    def offset(centres: Array) -> tuple[Array, Array, Array]:
+        x, y, z = (points[k][:, None] - centres[k][None, :] for k in range(3))
+        return x, y, z
+
+    def add_near(total: Array, image: tuple[Array, Array]) -> tuple[Array, None]:
+        return total + image[1] * square_potential(offset(image[0]), side), None
+
+    def add_far(total: Array, image: tuple[Array, Array]) -> tuple[Array, None]:
+        return total + image[1] * point_potential(offset(image[0])), None
+
+    total = jnp.zeros((points.shape[1], near.shape[2]))
+    total, _ = jax.lax.scan(add_near, total, (near, near_weight))
+    total, _ = jax.lax.scan(add_far, total, (far, far_weight))
+    return total

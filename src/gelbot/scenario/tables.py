@@ -24,7 +24,7 @@ from gelbot.scenario.fields import (
     Time,
     wrong,
 )
-from gelbot.units import allowed_quantity, quantity
+from gelbot.units import allowed_quantity, quantity, shown
 
 SHARE = Number(ge=-1, le=1)
 """What an electrode may get of the amplitude."""
@@ -161,11 +161,15 @@ class DriveField(Checked):
 
 
 class Phase(Table):
-    """One phase: electrode n gets `shares[n]` times the amplitude, which is `drive` [V] or comes from the servo."""
+    """One phase: electrode n gets `shares[n]` times the amplitude, which is `drive` [V] or comes from the servo.
+
+    The servo follows the programme's reference, or keeps the height `hold` [m] where the phase names one.
+    """
 
     name: str
     pattern: Annotated[str | tuple[tuple[float, ...], ...], PatternField()]
     drive: Annotated[Literal["servo"] | float, DriveField()]
+    hold: Length | None = None
     until: Until | None = None
 
     @property
@@ -191,8 +195,11 @@ class Programme(Table):
     def _is_complete(self) -> Programme:
         for index, phase in enumerate(self.phases):
             for key in ("reference", "servo"):
-                if phase.drive == "servo" and getattr(self, key) is None:
+                needed = phase.drive == "servo" and not (key == "reference" and phase.hold is not None)
+                if needed and getattr(self, key) is None:
                     raise wrong(key, NOTHING, f'a table: programme.phases.{index}.drive is "servo" and needs it')
+            if phase.hold is not None and phase.drive != "servo":
+                raise wrong(f"phases.{index}.hold", shown(phase.hold, "m"), 'only with drive = "servo"')
             if phase.until is None and index < len(self.phases) - 1:
                 allowed = "a table: the phase is followed by another"
                 raise wrong(f"phases.{index}.until", NOTHING, allowed, 'after = "10 s"')

@@ -1,0 +1,51 @@
+# What it needs: git, make, Python 3.11 or newer. Another Python: make demo PYTHON=python3.12
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+# Packages are installed uncompiled and compile where they are first imported: half the time of compiling all of them.
+PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
+unexport PYTHONDONTWRITEBYTECODE
+unexport PYTHONPATH
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test quick lint clean
+
+help: ## say what can be made
+	@sed -n 's/^\([a-z]*\):.*## /make \1\t/p' $(MAKEFILE_LIST)
+
+demo: $(VENV)/gelbot.stamp ## install gelbot and let the starfish turn over; results in runs/turn-over
+	$(BIN)/gelbot run turn-over
+
+test: $(VENV)/dev.stamp ## everything that is checked: style, types, layers, all tests
+	$(BIN)/python tools/check.py lint tests
+
+quick: $(VENV)/dev.stamp ## the tests that take seconds
+	$(BIN)/python tools/check.py quick
+
+lint: $(VENV)/dev.stamp ## style, types, layers
+	$(BIN)/python tools/check.py lint
+
+clean: ## remove the environment and all caches; runs/ stays
+	rm -rf $(VENV) build dist .pytest_cache .ruff_cache .hypothesis .import_linter_cache src/*.egg-info
+	find src tests tools -name __pycache__ -prune -exec rm -rf {} +
+
+$(BIN)/python:
+	@command -v $(PYTHON) >/dev/null || { echo "gelbot: there is no $(PYTHON) here; gelbot needs Python 3.11 or newer" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "gelbot: $(PYTHON) is" \
+	  "$$($(PYTHON) --version 2>&1); gelbot needs Python 3.11 or newer. Try: make demo PYTHON=python3.12" >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { echo "gelbot: $(PYTHON) cannot make an environment." \
+	  "Try on Debian or Ubuntu: sudo apt install python3-venv" >&2; exit 1; }
+	@echo "making the environment in $(VENV)"
+	@$(PYTHON) -m venv $(VENV)
+
+$(VENV)/gelbot.stamp: requirements.txt pyproject.toml | $(BIN)/python
+	@echo "installing gelbot (downloads about 300 MB the first time)"
+	@$(PIP_INSTALL) -r requirements.txt
+	@$(PIP_INSTALL) --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(VENV)/dev.stamp: requirements-dev.txt $(VENV)/gelbot.stamp
+	@echo "installing what the checks need"
+	@$(PIP_INSTALL) -r requirements-dev.txt
+	@touch $@

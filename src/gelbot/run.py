@@ -1,0 +1,231 @@
+"""One run from a scenario to a folder of results: numbers, plots and a movie."""
+
+from __future__ import annotations
+
+import json
+import platform
+import time as clock
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+from gelbot import __version__
+from gelbot.control.programme import Playing, begin, play
+from gelbot.errors import BadInput, SimulationFailed
+from gelbot.points import observe
+from gelbot.record.run_store import RunStore, open_run
+from gelbot.record.summary import summarise
+from gelbot.scenario.build import Experiment, build
+from gelbot.scenario.load import Loaded
+from gelbot.show.progress import RunProgress
+from gelbot.simulate import Frame, rollout
+
+RUN, SUMMARY, SCENARIO = "run.zarr", "summary.json", "scenario.toml"
+"""What a run folder holds, beside the pictures."""
+
+
+def run_scenario(loaded: Loaded, out: Path, movie: bool = True, progress: bool = True) -> dict[str, Any]:
+    """Simulate `loaded`, write everything into the folder `out` and return the summary.
+
+    Raises `BadInput` before anything is written, and `SimulationFailed` when a step does not converge: what was
+    computed until then is kept, with its summary and pictures.
+    """
+    # Setting up is always done in double precision; a scenario's single precision is a choice for the run.
+    jax.config.update("jax_enable_x64", True)
+    try:
+        experiment = build(loaded.scenario)
+    except BadInput as error:
+        raise error.inside(loaded.source) from error
+    out.mkdir(parents=True, exist_ok=True)
+    (out / SCENARIO).write_text(loaded.text, encoding="utf-8")
+    store = RunStore.create(out / RUN, static_part(experiment, loaded))
+    failure: SimulationFailed | None = None
+    times = {"wall_s": 0.0, "compile_s": 0.0}
+    try:
+        with RunProgress(loaded.scenario.simulation.duration) if progress else _Silent() as bar:
+            _simulate(experiment, store, bar, times)
+        store.finish("finished")
+    except SimulationFailed as error:
+        failure = error
+        store.finish(f"failed: {error}")
+    except KeyboardInterrupt:
+        store.finish("stopped by the user")
+        raise
+    run = open_run(out / RUN)
+    summary = summarise(run, times["wall_s"], times["compile_s"])
+    _write_whole(out / SUMMARY, json.dumps(summary, indent=2) + "\n")
+    if run.sizes.get("time", 0) > 1:
+        _draw(run, loaded, out, movie, progress)
+    if failure is not None:
+        raise failure
+    return summary
+
+
+class _Silent:
+    """In the place of a progress bar where nobody looks."""
+
+    def __enter__(self) -> _Silent:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def update(self, time: float, phase_name: str, height_mm: float) -> None:
+        pass
+
+
+def _simulate(experiment: Experiment, store: RunStore, bar: RunProgress | _Silent, times: dict[str, float]) -> None:
+    """Chunk after chunk: compute, write, show. `times` counts computing alone, not writing and drawing."""
+    scenario = experiment.scenario
+    period, names = scenario.programme.control_period, [phase.name for phase in scenario.programme.phases]
+    steps = round(period / scenario.simulation.time_step)
+    every = round(scenario.recording.interval / period)
+    per_chunk = round(scenario.recording.chunk / period)
+    left = round(scenario.simulation.duration / period)
+    state, dt = experiment.state, jnp.asarray(scenario.simulation.time_step, experiment.state.positions.dtype)
+    memory = Playing(experiment.programme, begin(observe(experiment.model.points, state.positions)))
+    compiled: dict[int, Any] = {}
+    bar.update(0.0, names[0], float(memory.progress.last_height) * 1e3)
+    while left > 0:
+        count = min(per_chunk, left)
+        if count not in compiled:
+            began = clock.perf_counter()
+            compiled[count] = rollout.lower(experiment.model, state, play, memory, dt, count, steps).compile()
+            times["compile_s"] += clock.perf_counter() - began
+        began = clock.perf_counter()
+        state, memory, frames = jax.block_until_ready(compiled[count](experiment.model, state, memory, dt))
+        times["wall_s"] += clock.perf_counter() - began
+        good = _good_frames(frames, scenario.simulation.tolerance)
+        kept = slice(every - 1, good, every) if good == count else slice(0, good)
+        if good:
+            store.append(frames_part(experiment, jax.tree.map(lambda a, kept=kept: np.asarray(a)[kept], frames)))
+        if good < count:
+            raise _failure(frames, good, scenario.simulation.tolerance)
+        left -= count
+        bar.update(float(frames.time[-1]), names[int(frames.command.phase[-1])], float(state_height(frames)) * 1e3)
+
+
+def state_height(frames: Frame) -> np.floating[Any]:
+    """The centre's height at the end of `frames` [m]."""
+    return np.asarray(frames.observation.centre)[-1, 2]
+
+
+def _good_frames(frames: Frame, tolerance: float) -> int:
+    """How many frames, from the first, are converged and finite."""
+    residual = np.asarray(frames.report.residual)
+    good = (residual <= tolerance) & np.all(np.isfinite(np.asarray(frames.positions)), axis=(1, 2))
+    return len(good) if bool(good.all()) else int(np.argmin(good))
+
+
+def _failure(frames: Frame, index: int, tolerance: float) -> SimulationFailed:
+    finite = bool(np.all(np.isfinite(np.asarray(frames.positions[index]))))
+    residual = float(frames.report.residual[index])
+    return SimulationFailed(float(frames.time[index]), residual, tolerance, finite and np.isfinite(residual))
+
+
+def static_part(experiment: Experiment, loaded: Loaded) -> xr.Dataset:
+    """What a run's data set holds that does not change with time."""
+    scenario, array = experiment.scenario, experiment.array
+    centres = np.vstack([array.centres, np.full(array.count, array.height)])
+    rest = np.asarray(experiment.state.positions)
+    metre = {"units": "m"}
+    return xr.Dataset(
+        {
+            "rest_position": (("space", "node"), rest, {**metre, "long_name": "node positions at the start"}),
+            "faces": (("corner", "face"), experiment.body.faces, {"long_name": "nodes of the surface triangles"}),
+            "electrode_centre": (("space", "electrode"), centres, {**metre, "long_name": "centres of the electrodes"}),
+        },
+        coords={"space": ["x", "y", "z"]},
+        attrs={
+            "scenario": loaded.text,
+            "scenario_name": scenario.name,
+            "gelbot_version": __version__,
+            "jax_version": version("jax"),
+            "precision": scenario.simulation.precision,
+            "phase_names": [phase.name for phase in scenario.programme.phases],
+            "electrode_side": scenario.electrodes.side,
+            "floor_depth": scenario.tank.floor_depth,
+            "thickness": scenario.body.thickness,
+            "time_step": scenario.simulation.time_step,
+            "limit": scenario.supply.limit,
+            "status": "running",
+            "machine": platform.platform(),
+        },
+    )
+
+
+def frames_part(experiment: Experiment, frames: Frame) -> xr.Dataset:
+    """Frames as the part of a run's data set that grows along time."""
+    seen, command = frames.observation, frames.command
+    current = frames.voltages @ experiment.field.conductance.T
+    table: dict[str, tuple[tuple[str, ...], Any, str, str]] = {
+        "position": (("space", "node"), frames.positions, "m", "node positions"),
+        "adsorption": (("face",), frames.ads, "1", "adsorption state of the surface faces"),
+        "voltage": (("electrode",), frames.voltages, "V", "voltages of the electrodes"),
+        "electrode_current": (("electrode",), current, "A", "currents from the electrodes into the tank"),
+        "centre": (("space",), seen.centre, "m", "centre of the body"),
+        "normal": (("space",), seen.normal, "1", "normal of the body's upper side"),
+        "tip_position": (("space", "tip"), seen.tips, "m", "tips"),
+        "tip_angle": (("tip",), seen.tip_angles, "rad", "angle of the tips below their outward direction"),
+        "reference": ((), command.reference, "m", "desired height of the centre"),
+        "amplitude": ((), command.amplitude, "V", "amplitude E of the applied voltages"),
+        "phase": ((), command.phase, "1", "phase of the programme"),
+        "iterations": ((), frames.report.iterations, "1", "most iterations of a step"),
+        "residual": ((), frames.report.residual, "1", "largest residual of a step, relative to the net weight"),
+    }
+    return xr.Dataset(
+        {
+            name: (("time", *dims), np.asarray(values), {"units": units, "long_name": text})
+            for name, (dims, values, units, text) in table.items()
+        },
+        coords={"time": (("time",), np.asarray(frames.time), {"units": "s", "long_name": "time"})},
+    )
+
+
+def _draw(run: xr.Dataset, loaded: Loaded, out: Path, movie: bool, progress: bool) -> None:
+    from gelbot.show.snapshots import draw_snapshots
+    from gelbot.show.trajectory import draw_trajectory
+
+    draw_trajectory(run, out / "trajectory.png")
+    draw_snapshots(run, out / "snapshots.png")
+    if movie:
+        from gelbot.show.movie import make_movie
+
+        recording = loaded.scenario.recording
+        with _MovieBar(progress) as on_picture:
+            make_movie(
+                run, out / f"{loaded.scenario.name}.mp4", recording.frames_per_second, recording.speed, on_picture
+            )
+
+
+class _MovieBar:
+    """A progress bar for the pictures of the movie; calling it with (done, of) moves it."""
+
+    def __init__(self, shown: bool) -> None:
+        from rich.console import Console
+        from rich.progress import Progress
+
+        console = Console(stderr=True)
+        self._bar = Progress(console=console, disable=not (shown and console.is_terminal))
+        self._task = self._bar.add_task("movie", total=None)
+
+    def __enter__(self) -> _MovieBar:
+        self._bar.start()
+        return self
+
+    def __call__(self, done: int, of: int) -> None:
+        self._bar.update(self._task, completed=done, total=of)
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+
+def _write_whole(path: Path, text: str) -> None:
+    draft = path.with_name(f".{path.name}.new")
+    draft.write_text(text, encoding="utf-8")
+    draft.replace(path)

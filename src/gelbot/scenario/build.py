@@ -1,0 +1,174 @@
+"""From a checked scenario to what is simulated: body, field, model, first state and programme."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from gelbot.body.lattice import Body, build_body
+from gelbot.control.programme import Phases, Programme
+from gelbot.field.charge import FieldSolution, build_problem, solve
+from gelbot.field.electrodes import ElectrodeArray, square_array
+from gelbot.field.images import Tank
+from gelbot.field.lead_field import build_lead_field
+from gelbot.mechanics.implicit import Mechanics
+from gelbot.mechanics.medium import net_weight
+from gelbot.mechanics.springs import node_springs, spring_stiffness
+from gelbot.plan.templates import template
+from gelbot.plan.trajectory import rise
+from gelbot.points import essential_points
+from gelbot.scenario.schema import Scenario
+from gelbot.simulate import Gel, Model, State, start
+
+WORKING_REACH = 2.2
+"""The lead field is tabulated this many reaches of the body around its place, about as far as it can roll."""
+GRID_SPACING = 1e-3
+"""Grid of the lead field [m]: keeps its error below 1e-3 of the largest current density, 3 mm below the plates."""
+HEADROOM = 1e-3
+"""The table ends this far [m] below the plates: nearer, their edges would need a finer grid."""
+CONTACT_LAYER = 0.01
+"""Share of the thickness within which the floor's force builds up, and by which the whole weight on a node sinks in."""
+STICK_SPEED = 2e-6
+"""Creep [m/s] below which friction sticks: 0.1 mm in a minute under a load just short of slipping."""
+LIGHTEST = 0.02
+"""A body whose density nearly equals the solution's has no weight to measure residuals by: at least this share."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A scenario made ready: `model`, first `state`, `programme`, and what they were made of."""
+
+    scenario: Scenario
+    body: Body
+    array: ElectrodeArray
+    field: FieldSolution
+    model: Model
+    state: State
+    programme: Programme
+
+
+def build(scenario: Scenario) -> Experiment:
+    """Make everything that `scenario` describes; arrays in its precision. Raises `BadInput` for a mesh too coarse."""
+    body = build_body(
+        scenario.body.outline(), scenario.body.thickness, scenario.body.mesh_size, scenario.body.layers
+    )
+    electrodes, tank = scenario.electrodes, scenario.tank
+    array = square_array(electrodes.rows, electrodes.columns, electrodes.side, electrodes.space, electrodes.gap)
+    problem = build_problem(
+        array, Tank(-tank.floor_depth, tank.depth, tank.size), scenario.solution.conductivity, electrodes.panels
+    )
+    field = solve(problem)
+    dtype = jnp.dtype(scenario.simulation.precision)
+
+    def cast(tree):
+        return jax.tree.map(
+            lambda a: jnp.asarray(a, dtype if jnp.issubdtype(jnp.result_type(a), jnp.floating) else None), tree
+        )
+
+    model = cast(build_model(scenario, body, field))
+    positions = cast(posed(scenario, body))
+    state = start(model, positions, cast(scenario.simulation.time_step))
+    return Experiment(scenario, body, array, field, model, state, cast(build_programme(scenario, array)))
+
+
+def posed(scenario: Scenario, body: Body) -> NDArray[np.float64]:
+    """Node positions at the start [m], shape (3, n); the body lies on the floor's contact layer."""
+    pose = scenario.body.pose
+    turned = np.array([[np.cos(pose.heading), -np.sin(pose.heading)], [np.sin(pose.heading), np.cos(pose.heading)]])
+    flat = turned @ body.nodes[:2] + np.array(pose.position)[:, None]
+    return np.vstack([flat, body.nodes[2] + pose.lift + CONTACT_LAYER * body.thickness])
+
+
+def build_model(scenario: Scenario, body: Body, field: FieldSolution) -> Model:
+    """The constants of a run."""
+    material = scenario.material
+    gel = Gel(
+        faces=jnp.asarray(body.faces),
+        spring_faces=jnp.asarray(body.spring_faces),
+        spring_face_weights=jnp.asarray(body.spring_face_weights),
+        p_ele=jnp.asarray(material.p_ele),
+        p_ads=jnp.asarray(material.p_ads),
+        p_l=jnp.asarray(material.p_l),
+        adsorption_step=jnp.asarray(material.adsorption_step),
+    )
+    place, reach = np.array(scenario.body.pose.position), WORKING_REACH * body.outline.reach
+    ceiling = max(scenario.electrodes.gap - HEADROOM, body.thickness)
+    lead = build_lead_field(
+        field, np.array([*(place - reach), 0.0]), np.array([*(place + reach), ceiling]), GRID_SPACING
+    )
+    return Model(gel, build_mechanics(scenario, body), lead, essential_points(body))
+
+
+def build_mechanics(scenario: Scenario, body: Body) -> Mechanics:
+    """Stiffness, masses, weights and contact of the body in its solution."""
+    material, solution, simulation = scenario.material, scenario.solution, scenario.simulation
+    weight = net_weight(body.node_volume, material.density, solution.density)
+    heaviest = np.maximum(np.abs(weight), LIGHTEST * net_weight(body.node_volume, material.density, 0.0))
+    layer = CONTACT_LAYER * body.thickness
+    stiffness = spring_stiffness(
+        material.young_modulus, body.spring_volume, body.spring_length, body.layer_count
+    )
+    return Mechanics(
+        springs=jnp.asarray(body.springs),
+        incidence=jnp.asarray(node_springs(body.springs, body.nodes.shape[1])),
+        stiffness=jnp.asarray(stiffness),
+        spring_length=jnp.asarray(body.spring_length),
+        node_mass=jnp.asarray(material.density * body.node_volume),
+        weight=jnp.asarray(weight),
+        contact_stiffness=jnp.asarray(2.0 * heaviest.sum() / layer),
+        contact_layer=jnp.asarray(layer),
+        friction=jnp.asarray(scenario.tank.friction),
+        stick_speed=jnp.asarray(STICK_SPEED),
+        drag=jnp.asarray(solution.drag),
+        tolerance=jnp.asarray(simulation.tolerance),
+        max_iterations=jnp.asarray(simulation.max_iterations),
+        force_scale=jnp.asarray(np.linalg.norm(heaviest)),
+    )
+
+
+def build_programme(scenario: Scenario, array: ElectrodeArray) -> Programme:
+    """The phases as arrays; conditions that a phase does not name are out of reach."""
+    programme, phases = scenario.programme, scenario.programme.phases
+    place = np.array(scenario.body.pose.position)
+
+    def condition(key: str, unused: float) -> jnp.ndarray:
+        given = [getattr(phase.until, key, None) for phase in phases]
+        return jnp.asarray([unused if value is None else value for value in given])
+
+    patterns = [
+        template(phase.template, array, place) if phase.template is not None else np.array(phase.shares)
+        for phase in phases
+    ]
+    named = [
+        phase.until is not None and phase.until.model_fields_set - {"after"} != set() for phase in phases
+    ]
+    low, low_time = scenario.body.thickness / 2.0, np.array([0.0, 1.0])
+    times, heights = low_time, np.array([low, low])
+    if programme.reference is not None:
+        reference = programme.reference
+        times, heights = rise(low, reference.height, reference.duration, reference.rounding)
+    servo = programme.servo
+    return Programme(
+        phases=Phases(
+            patterns=jnp.asarray(np.array(patterns)),
+            amplitudes=jnp.asarray([0.0 if phase.drive == "servo" else phase.drive for phase in phases]),
+            uses_servo=jnp.asarray([phase.drive == "servo" for phase in phases]),
+            holds=jnp.asarray([np.nan if phase.hold is None else phase.hold for phase in phases]),
+            heights=condition("height", -np.inf),
+            tip_angles=condition("tip_angle", -np.inf),
+            normals=condition("normal_below", np.inf),
+            conditional=jnp.asarray(named),
+            durations=condition("after", np.inf),
+        ),
+        reference_times=jnp.asarray(times),
+        reference_heights=jnp.asarray(heights),
+        kp=jnp.asarray(0.0 if servo is None else servo.kp),
+        kv=jnp.asarray(0.0 if servo is None else servo.kv),
+        sign=jnp.asarray(-1.0 if servo is not None and servo.sign == "printed" else 1.0),
+        limit=jnp.asarray(scenario.supply.limit),
+        period=jnp.asarray(programme.control_period),
+    )
