@@ -28,7 +28,7 @@ lint: $(VENV)/dev.stamp ## style, types, layers
 
 clean: ## remove the environment and all caches; runs/ stays
 	rm -rf $(VENV) build dist .pytest_cache .ruff_cache .hypothesis .import_linter_cache src/*.egg-info
-	find src tests tools -name __pycache__ -prune -exec rm -rf {} +
+	find src tests tools examples -name __pycache__ -prune -exec rm -rf {} +
 
 $(BIN)/python:
 	@command -v $(PYTHON) >/dev/null || { echo "gelbot: there is no $(PYTHON) here; gelbot needs Python 3.11 or newer" >&2; exit 1; }
@@ -40,7 +40,7 @@ $(BIN)/python:
 	@$(PYTHON) -m venv $(VENV)
 
 $(VENV)/gelbot.stamp: requirements.txt pyproject.toml | $(BIN)/python
-	@echo "installing gelbot (downloads about 300 MB the first time)"
+	@echo "installing gelbot; the first time this downloads some 250 MB"
 	@$(PIP_INSTALL) -r requirements.txt
 	@$(PIP_INSTALL) --no-deps --no-build-isolation --editable .
 	@touch $@

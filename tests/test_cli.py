@@ -182,7 +182,7 @@ def test_places_without_a_scenario_are_refused(runs: list[dict[str, Any]]):
     ],
 )
 def test_bad_values_are_refused(runs: list[dict[str, Any]], line: str, key: str, given: str, allowed: str):
-    text = built_in_text("turn-over").replace('thickness = "0.8 mm"', line)
+    text = built_in_text("turn-over").replace('thickness = "1 mm"', line)
     Path("mine.toml").write_text(text, encoding="utf-8")
     message = refused("run", "mine.toml")
     assert message.startswith(f"gelbot: mine.toml: {key}: got {given}; allowed: ")

@@ -99,7 +99,7 @@ def test_a_body_through_the_wall_of_the_tank_is_refused():
 
 
 def test_a_missing_key_says_what_belongs_there():
-    text = built_in_text("turn-over").replace('thickness = "0.8 mm"\n', "")
+    text = built_in_text("turn-over").replace('thickness = "1 mm"\n', "")
     with pytest.raises(BadInput, match=r"body.thickness: got nothing; allowed: .* a length with its unit"):
         load_text(text)
 

@@ -46,14 +46,17 @@ def count(*folders: str, name: str = "*.py") -> int:
     return max(1, sum(len(list((ROOT / folder).rglob(name))) for folder in folders))
 
 
-ALL_FILES = Seen(r"\.py$", count("src", "tests", "tools"), "files")
+ALL_FILES = Seen(r"\.py$", count("src", "tests", "tools", "examples"), "files")
 PASSED = Seen(r"(\d+) passed", count("tests", name="test_*.py"), "tests")
 
 CHECKS = {
     "lint": (
-        Check("ruff check --show-files", (ALL_FILES,)),
-        Check("ruff check", (Seen("All checks passed", 1, "verdict on these files"),)),
-        Check("ruff format --check", (ALL_FILES._replace(pattern=r"(\d+) files? already formatted"),)),
+        Check("ruff check --show-files src tests tools examples", (ALL_FILES,)),
+        Check("ruff check src tests tools examples", (Seen("All checks passed", 1, "verdict on these files"),)),
+        Check(
+            "ruff format --check src tests tools examples",
+            (ALL_FILES._replace(pattern=r"(\d+) files? already formatted"),),
+        ),
         Check("basedpyright --stats", (ALL_FILES._replace(pattern=r"Total files checked: (\d+)"),)),
         Check(
             "lint-imports --no-cache --no-logo",

@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -23,25 +23,6 @@ app = typer.Typer(
 
 RUN_MARKS = ("run.zarr", "summary.json")
 """A folder that holds one of these holds a run."""
-
-PAPER = (
-    ("switch, end of the preparation", "t_switch_s", "40 s", "{:.1f} s"),
-    ("centre's height at the switch", "z_switch_mm", "6.5 mm", "{:.2f} mm"),
-    ("tip's direction at the switch", "tip_angle_at_switch_deg", "90 deg (vertical)", "{:.0f} deg"),
-    ("transition", "t_transition_s", "6 - 10 s", "{:.1f} s"),
-    ("turned over", "turned_over", "yes (5 of 5)", "{}"),
-    ("stayed over", "stayed_over_s", "", "{:.1f} s"),
-    ("largest height", "max_height_mm", "", "{:.2f} mm"),
-    ("height at the end", "final_height_mm", "", "{:.2f} mm"),
-    ("normal's z at the end", "final_normal_z", "", "{:.2f}"),
-    ("largest voltage", "peak_voltage_V", "", "{:.2f} V"),
-    ("largest current", "peak_current_A", "", "{:.3f} A"),
-    ("simulated time", "simulated_s", "", "{:.1f} s"),
-    ("wall-clock time", "wall_s", "", "{:.1f} s"),
-    ("of it compiling", "compile_s", "", "{:.1f} s"),
-)
-"""Rows of the table at the end of a run: what, its key in the summary, what the paper reports, how it is written."""
-
 
 @contextmanager
 def plain_errors() -> Iterator[None]:
@@ -125,7 +106,9 @@ def run(
     if as_json:
         _print_json(summary)
     else:
-        _print_table(("", "paper", "this run"), _comparison(summary))
+        from gelbot.show.table import print_summary
+
+        print_summary(summary)
         typer.echo(f"results in {folder}")
 
 
@@ -167,17 +150,6 @@ def _exists(path: Path) -> bool:
 
 def _holds_run(folder: Path) -> bool:
     return any(os.path.lexists(folder / mark) for mark in RUN_MARKS)
-
-
-def _comparison(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """The rows of `PAPER` for which this run has a value."""
-    given = [(what, paper, form, summary.get(key)) for what, key, paper, form in PAPER]
-    words = {True: "yes", False: "no"}
-    return [
-        (what, paper, words[value] if isinstance(value, bool) else form.format(value))
-        for what, paper, form, value in given
-        if value is not None
-    ]
 
 
 def _print_json(value: object) -> None:

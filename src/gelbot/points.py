@@ -1,4 +1,4 @@
-"""Essential points: the centre, the body's normal and the tips, read from the node positions (Sections IV-B and IV-D)."""
+"""Essential points: the centre, the body's normal and the tips, from the node positions (Sections IV-B, IV-D)."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from gelbot.body.lattice import Body
 class EssentialPoints(NamedTuple):
     """How to read the points: weights over the nodes, `centre` (n,), `tips` and `tip_bases` (a, n), and the `hub`.
 
-    `hub` (3, m): triangles around the centre, of columns of nodes whose means over the thickness are `hub_weights` (c, n):
-    the normal belongs to the mid-surface.
+    `hub` (3, m): triangles around the centre, of columns of nodes whose means over the thickness are `hub_weights`
+    (c, n): the normal belongs to the mid-surface.
     """
 
     centre: Array
@@ -71,7 +71,7 @@ def observe(points: EssentialPoints, positions: Array) -> Observation:
 
 
 def body_frame(points: EssentialPoints, positions: Array) -> Array:
-    """An orthonormal frame that turns with the middle of the body, columns: two in its plane, then its normal; (3, 3)."""
+    """An orthonormal frame (3, 3) that turns with the middle of the body: two columns in its plane, then its normal."""
     columns = positions @ points.hub_weights.T
     a, b, c = (columns[:, points.hub[k]] for k in range(3))
     normal = jnp.sum(jnp.cross(b - a, c - a, axis=0), axis=1)

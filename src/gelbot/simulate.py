@@ -1,6 +1,6 @@
 """Voltages in, motion out: the model of Sections II and III as pure functions.
 
-One step follows the chain: voltages -> current density on the surface -> adsorption -> rest lengths -> forces -> motion.
+One step follows the chain: voltages -> current density -> adsorption -> rest lengths -> forces -> motion.
 """
 
 from __future__ import annotations
@@ -131,12 +131,14 @@ def refresh(model: Model, state: State, dt: Array) -> State:
     return state._replace(near=near, strain=jnp.zeros_like(state.strain))
 
 
-def start(model: Model, positions: Array, dt: Array) -> State:
+def start(model: Model, positions: Array) -> State:
     """A body at rest without adsorption at `positions` [m], shape (3, n)."""
     n, f = positions.shape[1], model.gel.faces.shape[1]
     near = Preconditioner(jnp.zeros((3 * n, 3 * n), jnp.float32), jnp.eye(3, dtype=positions.dtype))
     zero = jnp.zeros((), positions.dtype)
-    return refresh(model, State(zero, positions, jnp.zeros_like(positions), jnp.zeros(f, positions.dtype), near, jnp.asarray(0)), dt)
+    # The first step makes the preconditioner: it finds the empty one too old.
+    strain = jnp.asarray(STALE + 1)
+    return State(zero, positions, jnp.zeros_like(positions), jnp.zeros(f, positions.dtype), near, strain)
 
 
 Controller: TypeAlias = Callable[[Any, Array, Observation], tuple[Any, Array, Any]]

@@ -1,10 +1,11 @@
-"""Bodies: a planar mesh thickened into layers of nodes, with its tetrahedra, springs, surface faces and essential points."""
+"""Bodies: a planar mesh thickened into layers of nodes: tetrahedra, springs, surface faces and essential points."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 from scipy.signal import find_peaks
 
@@ -57,7 +58,7 @@ class Body:
 
 
 def build_body(outline: Outline, thickness: float, mesh_size: float, layer_count: int = 2) -> Body:
-    """Thicken `outline` to a sheet of `thickness` [m] with edges of about `mesh_size` [m] and `layer_count` node layers."""
+    """Thicken `outline` to a sheet of `thickness` [m], edges of about `mesh_size` [m], `layer_count` node layers."""
     plane = triangulate(outline, mesh_size)
     heights = np.linspace(0.0, thickness, layer_count)
     nodes = np.concatenate([np.column_stack([plane.points, np.full(len(plane.points), z)]) for z in heights]).T
@@ -69,9 +70,9 @@ def build_body(outline: Outline, thickness: float, mesh_size: float, layer_count
     springs, spring_volume = _springs(nodes, np.concatenate([split, mirror_split], axis=1))
     both = np.concatenate([split, mirror_split], axis=1)
     volumes = 0.5 * tetrahedron_volumes(nodes, both)
-    node_volume = np.bincount(both.ravel(), np.tile(volumes / 4.0, 4), nodes.shape[1])
+    node_volume = _sums(both, volumes / 4.0, nodes.shape[1])
     spring_faces, weights = _adjacent_faces(springs, faces)
-    node_area = np.bincount(faces.ravel(), np.tile(_face_areas(nodes, faces) / 3.0, 3), nodes.shape[1])
+    node_area = _sums(faces, _face_areas(nodes, faces) / 3.0, nodes.shape[1])
     tips, bases = _tip_points(outline)
     return Body(
         outline=outline,
@@ -111,7 +112,7 @@ def _positive(nodes: NDArray[np.float64], tetrahedra: NDArray[np.int64]) -> NDAr
 
 
 def _tetrahedra(plane: Triangulation, layer_count: int, mirrored: bool) -> NDArray[np.int64]:
-    """Three tetrahedra in each prism; the diagonals of its sides climb from the lower to the higher place in the row."""
+    """Three tetrahedra in each prism; the diagonals of its sides climb towards the higher place in the row."""
     count = len(plane.points)
     v0, v1, v2 = plane.triangles.T
     parts = []
@@ -153,7 +154,14 @@ def _springs(
     pairs = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
     edges = np.sort(np.concatenate([tetrahedra[[i, j]] for i, j in pairs], axis=1), axis=0)
     springs, index = np.unique(edges, axis=1, return_inverse=True)
-    return springs, np.bincount(index, np.tile(tetrahedron_volumes(nodes, tetrahedra), 6))
+    return springs, _sums(index.reshape(6, -1), tetrahedron_volumes(nodes, tetrahedra), springs.shape[1])
+
+
+def _sums(corners: NDArray[np.int64], shares: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """What each of `count` things gets when every column of `corners` (k, m) gives its `shares` (m,) to each row's."""
+    total = np.zeros(count)
+    np.add.at(total, corners, np.broadcast_to(shares, corners.shape))
+    return total
 
 
 def _face_areas(nodes: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -201,9 +209,10 @@ def _tip_points(outline: Outline) -> tuple[NDArray[np.float64], NDArray[np.float
     A blunt tip has two corners; corners closer together than half the reach are one tip.
     """
     ring = outline.polygon.exterior
-    samples = np.array([ring.interpolate(t, normalized=True).coords[0] for t in np.linspace(0, 1, 2000, endpoint=False)])
+    places = np.linspace(0.0, 1.0, 2000, endpoint=False)
+    samples = shapely.get_coordinates(shapely.line_interpolate_point(ring, places, normalized=True))
     samples = np.concatenate([outline.points, samples])
-    samples = samples[np.argsort([ring.project(_point(p)) for p in samples], kind="stable")]
+    samples = samples[np.argsort(shapely.line_locate_point(ring, shapely.points(samples)), kind="stable")]
     radius = np.linalg.norm(samples, axis=1)
     start = int(np.argmin(radius))
     samples, radius = np.roll(samples, -start, axis=0), np.roll(radius, -start)
@@ -218,12 +227,6 @@ def _tip_points(outline: Outline) -> tuple[NDArray[np.float64], NDArray[np.float
     tips = np.array([np.mean(g, axis=0) for g in groups]) if groups else outline.points[:1]
     tips = tips[np.argsort(np.round((np.arctan2(tips[:, 1], tips[:, 0]) + 1e-9) % (2.0 * np.pi), 8))]
     return tips, TIP_PART * tips
-
-
-def _point(p: NDArray[np.float64]):
-    import shapely
-
-    return shapely.Point(p)
 
 
 def _hub(plane: Triangulation, outline: Outline) -> NDArray[np.int64]:

@@ -71,13 +71,15 @@ def starfish(
     meet (`root_width` None, or within 1 % of that width) or are joined by a straight edge. Raises `BadInput` when the
     roots would overlap.
     """
-    half = np.pi / arms
+    if arms < 3 or min(width, arm_length) <= 0.0 or tip_width < 0.0:
+        raise BadInput(where, f"arms {arms}, width {width}, arm_length {arm_length}, tip_width {tip_width}", "sizes > 0")
+    half = float(np.pi / arms)
     # The widest pair of tips of an odd star is not opposite: it misses the straight angle by half a sector.
     tip_axis = width / 2.0 if arms % 2 == 0 else width / (2.0 * float(np.cos(half / 2.0)))
     root_axis = tip_axis - arm_length
     if root_axis <= 0.0:
         raise BadInput(f"{where}.arm_length", f"{arm_length * 1e3:.4g} mm", f"less than {tip_axis * 1e3:.4g} mm")
-    widest = 2.0 * root_axis * np.tan(half)
+    widest = 2.0 * root_axis * float(np.tan(half))
     root_width = widest if root_width is None else root_width
     if root_width > widest * 1.01:
         raise BadInput(

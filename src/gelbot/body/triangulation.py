@@ -50,12 +50,10 @@ def triangulate(outline: Outline, mesh_size: float, where: str = "body.mesh_size
     count = len(points)
     merged, representative = _merge(copies, 1e-4 * mesh_size)
     # Points of one wedge that coincide with copies of each other (the two seams of a cyclic group) share an orbit.
-    orbit_of_wedge_point = np.arange(count)
+    orbit_of_wedge_point, orbit = np.arange(count), np.full(len(merged), count)
     for _ in range(2):
-        smallest = np.full(len(merged), count)
-        np.minimum.at(smallest, representative, np.tile(orbit_of_wedge_point, len(operations)))
-        orbit_of_wedge_point = smallest[representative[:count]]
-    orbit = smallest
+        np.minimum.at(orbit, representative, np.tile(orbit_of_wedge_point, len(operations)))
+        orbit_of_wedge_point = orbit[representative[:count]]
 
     rank = np.lexsort((np.arange(count), orbit_of_wedge_point)).argsort()
     ordered = np.take_along_axis(triangles, np.argsort(rank[triangles], axis=1), axis=1)
@@ -79,7 +77,9 @@ def signed_areas(points: NDArray[np.float64], triangles: NDArray[np.int64]) -> N
     return 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
 
 
-def _fundamental_wedge(outline: Outline, group: SymmetryGroup) -> tuple[shapely.Polygon, list[float]]:
+def _fundamental_wedge(
+    outline: Outline, group: SymmetryGroup
+) -> tuple[shapely.Polygon | shapely.MultiPolygon, list[float]]:
     """The part of the outline of which all the rest are copies, and the directions [rad] of the rays that cut it."""
     if group.order == 1:
         return outline.polygon, []
@@ -95,7 +95,7 @@ def _fundamental_wedge(outline: Outline, group: SymmetryGroup) -> tuple[shapely.
     part = outline.polygon.intersection(sector)
     if not isinstance(part, shapely.Polygon):
         pieces = [g for g in getattr(part, "geoms", []) if isinstance(g, shapely.Polygon)]
-        part = max(pieces, key=lambda g: g.area) if len(pieces) == 1 else shapely.MultiPolygon(pieces)
+        part = pieces[0] if len(pieces) == 1 else shapely.MultiPolygon(pieces)
     return part, [first, first + opening]
 
 

@@ -83,7 +83,7 @@ def solve(problem: FieldProblem) -> FieldSolution:
     unit = np.zeros((q + 1, e))
     unit[np.arange(q), problem.panels.electrode] = 1.0
     answer = np.linalg.solve(bordered, unit)
-    return FieldSolution(problem, answer[:q] / scale, answer[q])
+    return FieldSolution(problem, np.asarray(answer[:q] / scale, float), np.asarray(answer[q], float))
 
 
 def _potentials(problem: FieldProblem, points: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:

@@ -39,7 +39,8 @@ def square_array(rows: int, columns: int, side: float, space: float, height: flo
     pitch = side + space
     x = (np.arange(columns) - (columns - 1) / 2.0) * pitch
     y = (np.arange(rows) - (rows - 1) / 2.0) * pitch
-    return ElectrodeArray(np.stack([g.ravel() for g in np.meshgrid(x, y)]), side, height, rows, columns)
+    centres = np.array([g.ravel() for g in np.meshgrid(x, y)], dtype=np.float64)
+    return ElectrodeArray(centres, side, height, rows, columns)
 
 
 @dataclass(frozen=True)

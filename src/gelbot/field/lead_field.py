@@ -97,4 +97,4 @@ def _spline_matrix(count: int) -> NDArray[np.float64]:
     for i in range(count):
         system[i, i : i + 3] = np.array([1.0, 4.0, 1.0]) / 6.0
     system[count, :5] = system[count + 1, -5:] = [1.0, -4.0, 6.0, -4.0, 1.0]
-    return np.linalg.inv(system)[:, :count]
+    return np.asarray(np.linalg.inv(system)[:, :count], dtype=np.float64)

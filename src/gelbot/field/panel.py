@@ -6,9 +6,9 @@ A unit charge spread over a square of side `a` in the plane z = 0 has, without t
                  = 1/a^2 * [ [ X asinh(Y / sqrt(X^2 + z^2)) + Y asinh(X / sqrt(Y^2 + z^2)) - z atan(X Y / (z r)) ] ]
 
 with X = x - x', Y = y - y', r = sqrt(X^2 + Y^2 + z^2), and the double bracket the alternating sum over the corners
-x' = -a/2, a/2 and y' = -a/2, a/2 (Durand, Electrostatique I, 1964; Hess and Smith 1967). Two asinh that differ in Y only
-are one logarithm, ln((Y_1 + r_1) / (Y_2 + r_2)); the four arctangents are the solid angle of the panel, one argument of a
-product of complex numbers.
+x' = -a/2, a/2 and y' = -a/2, a/2 (Durand, Electrostatique I, 1964; Hess and Smith 1967). Two asinh that differ in Y
+only are one logarithm, ln((Y_1 + r_1) / (Y_2 + r_2)); the four arctangents are the solid angle of the panel, one
+argument of a product of complex numbers.
 """
 
 from __future__ import annotations

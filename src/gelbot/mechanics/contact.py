@@ -1,6 +1,6 @@
 """Floor contact with Coulomb friction.
 
-The floor z = 0 pushes with a force that begins in a thin layer of thickness d above it and grows with the depth p = d - z,
+The floor z = 0 pushes with a force that begins in a thin layer d above it and grows with the depth p = d - z,
 
     f_n = k p^2 / (2 d)  for 0 < p < d,    f_n = k (p - d/2)  for p >= d,
 

@@ -24,7 +24,7 @@ from gelbot.mechanics.contact import (
 )
 from gelbot.mechanics.medium import drag_forces, gravity_forces
 from gelbot.mechanics.quasi_newton import Solution, minimise
-from gelbot.mechanics.springs import spring_energy, spring_forces
+from gelbot.mechanics.springs import spring_balance
 
 PATIENCE = 40
 """Iterations after which a step asks for a new preconditioner."""
@@ -61,35 +61,34 @@ class Preconditioner(NamedTuple):
     frame: Array
 
 
-def forces(mech: Mechanics, x: Array, x0: Array, v0: Array, rest: Array, dt: Array) -> Array:
-    """Sum of all forces on the nodes, inertia included [N], shape (3, n): zero at the end of a step."""
+def balance(
+    mech: Mechanics, x: Array, x0: Array, v0: Array, rest: Array, dt: Array
+) -> tuple[Array, Array]:
+    """W(x) [J] and the sum of all forces, inertia included [N], shape (3, n), which is minus its gradient.
+
+    The forces vanish at the end of a step.
+    """
     u = x - x0
     pressed = normal_forces(x0, mech.contact_stiffness, mech.contact_layer)
+    elastic, pull = spring_balance(x, mech.springs, mech.stiffness, rest, mech.incidence)
+    energy = (
+        0.5 * jnp.sum(mech.node_mass * (u / dt - v0) ** 2)
+        + 0.5 / dt * jnp.sum(mech.drag * mech.node_mass * u**2)
+        + jnp.sum(mech.weight * u[2])
+        + elastic
+        + normal_energy(x, mech.contact_stiffness, mech.contact_layer)
+        + friction_energy(u[:2], pressed, mech.friction, mech.stick_speed, dt)
+    )
     grip = friction_grip(u[:2], pressed, mech.friction, mech.stick_speed, dt)
     push = normal_forces(x, mech.contact_stiffness, mech.contact_layer)
-    return (
-        spring_forces(x, mech.springs, mech.stiffness, rest, mech.incidence)
+    forces = (
+        pull
         + jnp.concatenate([-grip * u[:2], push[None]])
         + gravity_forces(mech.weight)
         + drag_forces(u, mech.node_mass, mech.drag, dt)
         - mech.node_mass * (u / dt - v0) / dt
     )
-
-
-def incremental_energy(mech: Mechanics, x: Array, x0: Array, v0: Array, rest: Array, dt: Array) -> Array:
-    """W(x) [J], whose gradient is minus `forces`; it is measured from the start of the step, where rounding is small."""
-    u = x - x0
-    inertia = jnp.sum(mech.node_mass * (u / dt - v0) ** 2) / 2.0
-    drag = jnp.sum(mech.drag * mech.node_mass * u**2) / (2.0 * dt)
-    pressed = normal_forces(x0, mech.contact_stiffness, mech.contact_layer)
-    return (
-        inertia
-        + drag
-        + jnp.sum(mech.weight * u[2])
-        + spring_energy(x, mech.springs, mech.stiffness, rest)
-        + normal_energy(x, mech.contact_stiffness, mech.contact_layer)
-        + friction_energy(u[:2], pressed, mech.friction, mech.stick_speed, dt)
-    )
+    return energy, forces
 
 
 def solve_step(
@@ -102,9 +101,13 @@ def solve_step(
     last one comes back with the solution.
     """
 
+    def objective(x: Array) -> tuple[Array, Array]:
+        energy, forces = balance(mech, x, x0, v0, rest, dt)
+        return energy, -forces
+
     def attempt(x: Array, near: Preconditioner) -> Solution:
         return minimise(
-            objective=lambda x: (incremental_energy(mech, x, x0, v0, rest, dt), -forces(mech, x, x0, v0, rest, dt)),
+            objective=objective,
             precondition=lambda g: _precondition(mech, near, frame, g),
             x=x,
             tolerance=mech.tolerance * mech.force_scale,
@@ -155,4 +158,7 @@ def build_preconditioner(mech: Mechanics, x: Array, v: Array, rest: Array, dt: A
     inertia = mech.node_mass / dt**2 + mech.drag * mech.node_mass / dt
     diagonal = (inertia + jnp.stack([grip, grip, floor])).ravel()
     full = matrix.reshape(3 * n, 3 * n) + jnp.diag(diagonal)
-    return Preconditioner(jnp.linalg.inv(full).astype(jnp.float32), frame)
+    # In double precision: the rigid motions of the body are a million times softer than its springs.
+    factor = jax.scipy.linalg.cho_factor(full.astype(jnp.float64), lower=True)
+    inverse = jax.scipy.linalg.cho_solve(factor, jnp.eye(3 * n, dtype=jnp.float64))
+    return Preconditioner(inverse.astype(jnp.float32), frame)

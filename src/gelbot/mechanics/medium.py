@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
+from numpy.typing import NDArray
 
 GRAVITY = 9.80665
 """Standard acceleration of gravity [m/s^2]."""
 
 
-def net_weight(node_volume: Array, density: Array, solution_density: Array) -> Array:
+def net_weight(
+    node_volume: NDArray[np.float64], density: float, solution_density: float
+) -> NDArray[np.float64]:
     """Weight less buoyancy of each node [N], shape (n,): (rho - rho_solution) V g, positive when the gel sinks."""
     return (density - solution_density) * node_volume * GRAVITY
 

@@ -97,7 +97,9 @@ def _advance(it: _Iterate, objective: Objective, precondition: Callable[[Array],
 
     # Where the slope vanishes by the secant, or where the parabola through both energies has its bottom.
     promised = it.length * slope_before
-    share = jnp.where(overshoot, slope_before / (slope_before - slope_after), -0.5 * promised / (energy - it.energy - promised))
+    by_slope = slope_before / (slope_before - slope_after)
+    by_energy = -0.5 * promised / (energy - it.energy - promised)
+    share = jnp.where(overshoot, by_slope, by_energy)
     shorter = it.length * jnp.clip(jnp.where(jnp.isfinite(share), share, 0.1), 0.1, 0.8)
     return _Iterate(
         x=jnp.where(too_long, it.x, x),

@@ -8,7 +8,9 @@ from jax import Array
 from numpy.typing import NDArray
 
 
-def spring_stiffness(young_modulus: Array, spring_volume: Array, spring_length: Array, layer_count: int) -> Array:
+def spring_stiffness(
+    young_modulus: float, spring_volume: NDArray[np.float64], spring_length: NDArray[np.float64], layer_count: int
+) -> NDArray[np.float64]:
     """k_s = E V_s / (beta l_s^2) [N/m] (Van Gelder 1998), V_s the volume of the tetrahedra around the edge; shape (s,).
 
     beta makes the sheet bend like one of Young's modulus `young_modulus` [Pa]; in its plane it is softer by beta.
@@ -35,20 +37,20 @@ def rest_length(spring_length: Array, p_l: Array, ads: Array, faces: Array, weig
     return spring_length * (1.0 - p_l * on_spring)
 
 
-def spring_energy(positions: Array, springs: Array, stiffness: Array, rest: Array) -> Array:
-    """Elastic energy sum_s k_s (l_s - l_0s)^2 / 2 [J]."""
-    along = positions[:, springs[1]] - positions[:, springs[0]]
-    return 0.5 * jnp.sum(stiffness * (jnp.sqrt(jnp.sum(along**2, axis=0)) - rest) ** 2)
+def spring_balance(
+    positions: Array, springs: Array, stiffness: Array, rest: Array, incidence: Array
+) -> tuple[Array, Array]:
+    """Elastic energy sum_s k_s (l_s - l_0s)^2 / 2 [J] and its forces on the nodes [N], shape (3, n).
 
-
-def spring_forces(positions: Array, springs: Array, stiffness: Array, rest: Array, incidence: Array) -> Array:
-    """Forces of the springs on the nodes [N], shape (3, n); `incidence` from `node_springs`."""
+    `incidence` comes from `node_springs`. Both are computed at once: they share the lengths.
+    """
     along = positions[:, springs[1]] - positions[:, springs[0]]
     length = jnp.sqrt(jnp.sum(along**2, axis=0))
-    tension = stiffness * (1.0 - rest / length) * along
+    stretch = length - rest
+    tension = (stiffness * stretch / length) * along
     # A node sums the springs that end at it: a gather, which is far cheaper than a scatter.
     both_ends = jnp.concatenate([tension, -tension, jnp.zeros((3, 1), tension.dtype)], axis=1)
-    return jnp.sum(both_ends[:, incidence], axis=1)
+    return 0.5 * jnp.sum(stiffness * stretch**2), jnp.sum(both_ends[:, incidence], axis=1)
 
 
 def node_springs(springs: NDArray[np.int64], node_count: int) -> NDArray[np.int64]:

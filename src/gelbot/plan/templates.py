@@ -15,7 +15,9 @@ from gelbot.field.electrodes import ElectrodeArray
 TEMPLATES = ("ridge", "crossed-ridge", "cathode", "anode", "plus", "minus", "uniform", "off")
 
 
-def template(name: str, array: ElectrodeArray, robot: NDArray[np.float64], where: str = "template") -> NDArray[np.float64]:
+def template(
+    name: str, array: ElectrodeArray, robot: NDArray[np.float64], where: str = "template"
+) -> NDArray[np.float64]:
     """The pattern called `name`; `robot` [m], shape (2,): the robot's place, which picks its electrode.
 
     ridge           Fig. 6(a): -1 on the diagonal through the robot's electrode, +1 elsewhere

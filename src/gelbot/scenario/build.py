@@ -71,7 +71,7 @@ def build(scenario: Scenario) -> Experiment:
 
     model = cast(build_model(scenario, body, field))
     positions = cast(posed(scenario, body))
-    state = start(model, positions, cast(scenario.simulation.time_step))
+    state = start(model, positions)
     return Experiment(scenario, body, array, field, model, state, cast(build_programme(scenario, array)))
 
 

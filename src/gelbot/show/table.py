@@ -25,8 +25,12 @@ def comparison_table(summary: Mapping[str, Any]) -> Table:
         ("turned over", "5 of 5", "yes" if summary.get("turned_over") else "no"),
         ("stays over", "yes", _stays(summary)),
     )
-    for row in rows:
+    # A scenario without a switch has nothing to hold against the paper.
+    for row in rows if summary.get("t_switch_s") is not None else ():
         table.add_row(*row)
+    table.add_row("largest height", "", _value(summary, "max_height_mm", ".2f", " mm"))
+    table.add_row("height at the end", "", _value(summary, "final_height_mm", ".2f", " mm"))
+    table.add_row("normal's z at the end", "", _value(summary, "final_normal_z", ".2f", ""))
     return table
 
 

@@ -1,0 +1,106 @@
+"""How sure is a motion when the robot is not laid down exactly? Runs a scenario from scattered start poses.
+
+    .venv/bin/python examples/scatter.py            # turn-over, 20 runs, up to 0.5 mm and 3 degrees
+    .venv/bin/python examples/scatter.py --runs 50 --set material.p_ele="0.017 cm^2/mA"
+
+Each run's outcome is a line; the last line counts the bodies that turned over, and those that also stayed over for 10 s.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gelbot.control.programme import Playing, begin, play
+from gelbot.points import observe
+from gelbot.scenario import load
+from gelbot.scenario.build import Experiment, build
+from gelbot.simulate import rollout, start
+
+OVER = -0.8
+"""The body lies on its back when the z of its normal is below this."""
+STAYS = 10.0
+"""It stays over when it does so for this long [s] at the end of the run."""
+
+
+class Outcome(NamedTuple):
+    """What became of a run: times [s], height [m]; NaN where it did not happen."""
+
+    switch: float
+    height: float
+    transition: float
+    stayed: float
+    converged: bool
+
+
+def moved(experiment: Experiment, shift: np.ndarray, turn: float) -> jax.Array:
+    """The start positions [m] (3, n), moved by `shift` [m] (2,) and turned about the body's centre by `turn` [rad]."""
+    x = np.asarray(experiment.state.positions)
+    centre = np.array(experiment.scenario.body.pose.position)[:, None]
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    return jnp.asarray(np.vstack([rotation @ (x[:2] - centre) + centre + shift[:, None], x[2:]]))
+
+
+def outcome(experiment: Experiment, shift: np.ndarray, turn: float) -> Outcome:
+    """Simulate the whole scenario from a moved start."""
+    scenario = experiment.scenario
+    period = scenario.programme.control_period
+    state = start(experiment.model, moved(experiment, shift, turn))
+    memory = Playing(experiment.programme, begin(observe(experiment.model.points, state.positions)))
+    _, _, frames = rollout(
+        experiment.model,
+        state,
+        play,
+        memory,
+        jnp.asarray(scenario.simulation.time_step),
+        round(scenario.simulation.duration / period),
+        round(period / scenario.simulation.time_step),
+    )
+    time, phase = np.asarray(frames.time), np.asarray(frames.command.phase)
+    z, normal = np.asarray(frames.observation.centre[:, 2]), np.asarray(frames.observation.normal[:, 2])
+    converged = bool(np.all(np.asarray(frames.report.residual) <= scenario.simulation.tolerance))
+    if not np.any(phase >= 1):
+        return Outcome(np.nan, np.nan, np.nan, 0.0, converged)
+    switched = int(np.argmax(phase >= 1))
+    over = np.flatnonzero((normal < OVER) & (phase >= 1))
+    transition = time[over[0]] - time[switched] if len(over) else np.nan
+    stayed = time[-1] - time[np.flatnonzero(normal >= OVER)[-1]] if normal[-1] < OVER else 0.0
+    return Outcome(time[switched], z[switched], transition, stayed, converged)
+
+
+def study(scenario: str, changes: list[str], runs: int, shift_mm: float, turn_deg: float, seed: int) -> list[Outcome]:
+    """The outcomes of `runs` runs, start poses uniform within `shift_mm` in x and y and `turn_deg`; prints each."""
+    jax.config.update("jax_enable_x64", True)
+    experiment = build(load(scenario, changes).scenario)
+    rng = np.random.default_rng(seed)
+    found = []
+    for k in range(runs):
+        x, y, turn = rng.uniform(-1.0, 1.0, 3) * [shift_mm, shift_mm, turn_deg]
+        one = outcome(experiment, np.array([x, y]) * 1e-3, np.radians(turn))
+        found.append(one)
+        print(
+            f"{k + 1:3d}  x {x:+.2f} mm  y {y:+.2f} mm  turn {turn:+.1f} deg   switch {one.switch:5.1f} s at "
+            f"{one.height * 1e3:.2f} mm   transition {one.transition:5.1f} s   stayed {one.stayed:5.1f} s"
+            + ("" if one.converged else "   NOT CONVERGED"),
+            flush=True,
+        )
+    return found
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenario", nargs="?", default="turn-over")
+    parser.add_argument("--runs", type=int, default=20)
+    parser.add_argument("--shift", type=float, default=0.5, help="largest shift in x and in y [mm]")
+    parser.add_argument("--turn", type=float, default=3.0, help="largest turn [deg]")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
+    given = parser.parse_args()
+    found = study(given.scenario, given.set, given.runs, given.shift, given.turn, given.seed)
+    over = sum(not np.isnan(o.transition) for o in found)
+    stays = sum(o.stayed >= STAYS for o in found)
+    print(f"turned over: {over} of {len(found)}; turned over and stayed so for {STAYS:.0f} s: {stays} of {len(found)}")
