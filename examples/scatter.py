@@ -1,9 +1,9 @@
-"""How sure is a motion when the robot is not laid down exactly? Runs a scenario from scattered start poses.
+"""How sure is a motion when the robot is not laid down exactly? Runs a scenario from scattered starts.
 
     .venv/bin/python examples/scatter.py            # turn-over, 20 runs, up to 0.5 mm and 3 degrees
     .venv/bin/python examples/scatter.py --runs 50 --set material.p_ele="0.017 cm^2/mA"
 
-Each run's outcome is a line; the last line counts the bodies that turned over, and those that also stayed over for 10 s.
+Each run's outcome is a line; the last line counts the bodies that turned over, and those that also stayed so for 10 s.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gelbot.control.programme import Playing, begin, play
+from gelbot.engine import prepare_engine
 from gelbot.points import observe
 from gelbot.scenario import load
 from gelbot.scenario.build import Experiment, build
@@ -74,7 +75,7 @@ def outcome(experiment: Experiment, shift: np.ndarray, turn: float) -> Outcome:
 
 def study(scenario: str, changes: list[str], runs: int, shift_mm: float, turn_deg: float, seed: int) -> list[Outcome]:
     """The outcomes of `runs` runs, start poses uniform within `shift_mm` in x and y and `turn_deg`; prints each."""
-    jax.config.update("jax_enable_x64", True)
+    prepare_engine()
     experiment = build(load(scenario, changes).scenario)
     rng = np.random.default_rng(seed)
     found = []

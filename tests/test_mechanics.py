@@ -220,7 +220,9 @@ class TestStep:
         x0, v0 = shaken(sheet, rng, 0.02 * MM), jnp.asarray(5 * MM * rng.normal(size=sheet.nodes.shape))
         x, rest = x0 + dt * v0, 0.8 * mech.spring_length
         slope = jax.grad(lambda x: balance(mech, x, x0, v0, rest, dt)[0])(x)
-        assert np.asarray(balance(mech, x, x0, v0, rest, dt)[1]) == pytest.approx(-np.asarray(slope), rel=1e-9, abs=1e-12)
+        assert np.asarray(balance(mech, x, x0, v0, rest, dt)[1]) == pytest.approx(
+            -np.asarray(slope), rel=1e-9, abs=1e-12
+        )
 
     @pytest.mark.slow
     def test_preconditioner_inverts_the_stiffness_of_a_stretched_sheet(self, sheet, mechanics):

@@ -175,7 +175,7 @@ def test_a_change_changes_one_value_and_nothing_else(place: tuple[str, str], val
 @pytest.mark.parametrize(
     "changes",
     [
-        ["tank.depth=30 mm", "body.root_width=3 mm", "programme.phases.2.until.after=3 s"],
+        ["tank.depth=30 mm", "body.root_width=2.5 mm", "programme.phases.2.until.after=3 s"],
         ['programme.phases.0={name="a", pattern="off", drive="0 V", until={after="1 s"}}', "supply.limit=20 V"],
         ['programme.phases=[{name="a", pattern="ridge", drive="5 V"}]', "programme.phases.0.until.after=2 s"],
         ['tank={floor_depth="0 mm", friction=0}', "body.pose.position.1=0 mm", "name=mine"],

@@ -24,6 +24,7 @@ app = typer.Typer(
 RUN_MARKS = ("run.zarr", "summary.json")
 """A folder that holds one of these holds a run."""
 
+
 @contextmanager
 def plain_errors() -> Iterator[None]:
     """Say an error on one line and leave: with 2 for bad input, 1 for the rest. Other faults are not caught."""

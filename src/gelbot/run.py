@@ -16,6 +16,7 @@ import xarray as xr
 
 from gelbot import __version__
 from gelbot.control.programme import Playing, begin, play
+from gelbot.engine import prepare_engine
 from gelbot.errors import BadInput, SimulationFailed
 from gelbot.points import observe
 from gelbot.record.run_store import RunStore, open_run
@@ -35,8 +36,7 @@ def run_scenario(loaded: Loaded, out: Path, movie: bool = True, progress: bool =
     Raises `BadInput` before anything is written, and `SimulationFailed` when a step does not converge: what was
     computed until then is kept, with its summary and pictures.
     """
-    # Setting up is always done in double precision; a scenario's single precision is a choice for the run.
-    jax.config.update("jax_enable_x64", True)
+    prepare_engine()
     try:
         experiment = build(loaded.scenario)
     except BadInput as error:

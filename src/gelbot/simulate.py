@@ -19,7 +19,6 @@ from gelbot.mechanics.implicit import Mechanics, Preconditioner, build_precondit
 from gelbot.mechanics.springs import rest_length
 from gelbot.points import EssentialPoints, Observation, body_frame, observe
 
-
 FRESH = 4
 """Iterations that a step takes with a new preconditioner."""
 STALE = 150
@@ -158,9 +157,7 @@ def rollout(
     def period(carry: tuple[State, Any], _: None) -> tuple[tuple[State, Any], Frame]:
         state, memory = carry
         memory, voltages, command = controller(memory, state.time, observe(model.points, state.positions))
-        state, report = jax.lax.scan(
-            lambda s, _: step(model, s, voltages, dt), state, None, length=steps_per_period
-        )
+        state, report = jax.lax.scan(lambda s, _: step(model, s, voltages, dt), state, None, length=steps_per_period)
         worst = StepReport(jnp.max(report.iterations), jnp.max(report.residual))
         seen = observe(model.points, state.positions)
         return (state, memory), Frame(state.time, state.positions, state.ads, voltages, seen, command, worst)

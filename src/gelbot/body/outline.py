@@ -72,7 +72,9 @@ def starfish(
     roots would overlap.
     """
     if arms < 3 or min(width, arm_length) <= 0.0 or tip_width < 0.0:
-        raise BadInput(where, f"arms {arms}, width {width}, arm_length {arm_length}, tip_width {tip_width}", "sizes > 0")
+        raise BadInput(
+            where, f"arms {arms}, width {width}, arm_length {arm_length}, tip_width {tip_width}", "sizes > 0"
+        )
     half = float(np.pi / arms)
     # The widest pair of tips of an odd star is not opposite: it misses the straight angle by half a sector.
     tip_axis = width / 2.0 if arms % 2 == 0 else width / (2.0 * float(np.cos(half / 2.0)))
@@ -121,7 +123,8 @@ def outline_from_svg(path: Path, width: float, chord: float, where: str = "body.
     Curves are divided into pieces of about `chord` [m]. The y axis is turned upwards. Raises `BadInput` when the file
     has no closed path.
     """
-    from svgelements import SVG, Close, Line, Move, Path as SvgPath, Shape
+    from svgelements import SVG, Close, Line, Move, Shape
+    from svgelements import Path as SvgPath
 
     try:
         elements = list(SVG.parse(str(path)).elements())

@@ -156,9 +156,7 @@ def _lattice(region: shapely.Polygon | shapely.MultiPolygon, angle: float, mesh_
     return points[shapely.contains_xy(core, points[:, 0], points[:, 1])]
 
 
-def _delaunay_inside(
-    points: NDArray[np.float64], region: shapely.Polygon | shapely.MultiPolygon
-) -> NDArray[np.int64]:
+def _delaunay_inside(points: NDArray[np.float64], region: shapely.Polygon | shapely.MultiPolygon) -> NDArray[np.int64]:
     """Delaunay triangles whose centroid lies inside `region` and which are not slivers."""
     triangles = np.asarray(Delaunay(points).simplices, dtype=np.int64)
     centroid = points[triangles].mean(axis=1)

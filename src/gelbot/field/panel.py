@@ -31,9 +31,7 @@ def square_potential(offset: Offset, side: float | Array) -> Array:
     x, y, z = offset[0], offset[1], jnp.abs(offset[2])  # even in z
     right, left, above, below = x + side / 2.0, x - side / 2.0, y + side / 2.0, y - side / 2.0
     r = {
-        (i, j): jnp.sqrt(X**2 + Y**2 + z**2)
-        for i, X in enumerate((right, left))
-        for j, Y in enumerate((above, below))
+        (i, j): jnp.sqrt(X**2 + Y**2 + z**2) for i, X in enumerate((right, left)) for j, Y in enumerate((above, below))
     }
     edges = (
         right * _log_ratio(above, r[0, 0], below, r[0, 1])

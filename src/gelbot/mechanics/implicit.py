@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from gelbot.mechanics.block_inverse import block_inverse
 from gelbot.mechanics.contact import (
     friction_energy,
     friction_grip,
@@ -61,9 +62,7 @@ class Preconditioner(NamedTuple):
     frame: Array
 
 
-def balance(
-    mech: Mechanics, x: Array, x0: Array, v0: Array, rest: Array, dt: Array
-) -> tuple[Array, Array]:
+def balance(mech: Mechanics, x: Array, x0: Array, v0: Array, rest: Array, dt: Array) -> tuple[Array, Array]:
     """W(x) [J] and the sum of all forces, inertia included [N], shape (3, n), which is minus its gradient.
 
     The forces vanish at the end of a step.
@@ -159,6 +158,5 @@ def build_preconditioner(mech: Mechanics, x: Array, v: Array, rest: Array, dt: A
     diagonal = (inertia + jnp.stack([grip, grip, floor])).ravel()
     full = matrix.reshape(3 * n, 3 * n) + jnp.diag(diagonal)
     # In double precision: the rigid motions of the body are a million times softer than its springs.
-    factor = jax.scipy.linalg.cho_factor(full.astype(jnp.float64), lower=True)
-    inverse = jax.scipy.linalg.cho_solve(factor, jnp.eye(3 * n, dtype=jnp.float64))
+    inverse = block_inverse(full.astype(jnp.float64))
     return Preconditioner(inverse.astype(jnp.float32), frame)

@@ -11,9 +11,7 @@ GRAVITY = 9.80665
 """Standard acceleration of gravity [m/s^2]."""
 
 
-def net_weight(
-    node_volume: NDArray[np.float64], density: float, solution_density: float
-) -> NDArray[np.float64]:
+def net_weight(node_volume: NDArray[np.float64], density: float, solution_density: float) -> NDArray[np.float64]:
     """Weight less buoyancy of each node [N], shape (n,): (rho - rho_solution) V g, positive when the gel sinks."""
     return (density - solution_density) * node_volume * GRAVITY
 

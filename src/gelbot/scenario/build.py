@@ -53,9 +53,7 @@ class Experiment:
 
 def build(scenario: Scenario) -> Experiment:
     """Make everything that `scenario` describes; arrays in its precision. Raises `BadInput` for a mesh too coarse."""
-    body = build_body(
-        scenario.body.outline(), scenario.body.thickness, scenario.body.mesh_size, scenario.body.layers
-    )
+    body = build_body(scenario.body.outline(), scenario.body.thickness, scenario.body.mesh_size, scenario.body.layers)
     electrodes, tank = scenario.electrodes, scenario.tank
     array = square_array(electrodes.rows, electrodes.columns, electrodes.side, electrodes.space, electrodes.gap)
     problem = build_problem(
@@ -109,9 +107,7 @@ def build_mechanics(scenario: Scenario, body: Body) -> Mechanics:
     weight = net_weight(body.node_volume, material.density, solution.density)
     heaviest = np.maximum(np.abs(weight), LIGHTEST * net_weight(body.node_volume, material.density, 0.0))
     layer = CONTACT_LAYER * body.thickness
-    stiffness = spring_stiffness(
-        material.young_modulus, body.spring_volume, body.spring_length, body.layer_count
-    )
+    stiffness = spring_stiffness(material.young_modulus, body.spring_volume, body.spring_length, body.layer_count)
     return Mechanics(
         springs=jnp.asarray(body.springs),
         incidence=jnp.asarray(node_springs(body.springs, body.nodes.shape[1])),
@@ -143,9 +139,7 @@ def build_programme(scenario: Scenario, array: ElectrodeArray) -> Programme:
         template(phase.template, array, place) if phase.template is not None else np.array(phase.shares)
         for phase in phases
     ]
-    named = [
-        phase.until is not None and phase.until.model_fields_set - {"after"} != set() for phase in phases
-    ]
+    named = [phase.until is not None and phase.until.model_fields_set - {"after"} != set() for phase in phases]
     low, low_time = scenario.body.thickness / 2.0, np.array([0.0, 1.0])
     times, heights = low_time, np.array([low, low])
     if programme.reference is not None:

@@ -57,9 +57,7 @@ def save(figure: Figure, path: Path) -> Path:
     return path
 
 
-def add_colour_bars(
-    figure: Figure, limit: float, most_adsorption: float, places: Sequence[Place], size: float
-) -> None:
+def add_colour_bars(figure: Figure, limit: float, most_adsorption: float, places: Sequence[Place], size: float) -> None:
     """Horizontal bars for voltages up to `limit` [V] and adsorption, in two `places` of the figure, `size` of font."""
     meanings = (
         (VOLTAGE_MAP, "voltage [V]", -limit, limit),
