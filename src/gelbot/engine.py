@@ -10,8 +10,8 @@ import jax
 def prepare_engine() -> None:
     """Double precision, and one thread for a single robot: its arrays are so small that a second thread only waits.
 
-    On two cores a turn-over computes 1.5 times as fast with one thread. `NPROC` is what the engine reads for the size of
-    its thread pool; set it yourself to have more. Without effect once the engine has computed something.
+    On two cores a turn-over computes 1.5 times as fast with one thread. `NPROC` is what the engine reads for the size
+    of its thread pool; set it yourself to have more. Without effect once the engine has computed something.
     """
     os.environ.setdefault("NPROC", "1")
     # Setting up is always done in double precision; a scenario's single precision is a choice for the run.

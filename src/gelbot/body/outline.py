@@ -72,9 +72,8 @@ def starfish(
     roots would overlap.
     """
     if arms < 3 or min(width, arm_length) <= 0.0 or tip_width < 0.0:
-        raise BadInput(
-            where, f"arms {arms}, width {width}, arm_length {arm_length}, tip_width {tip_width}", "sizes > 0"
-        )
+        given = f"arms {arms}, width {width} m, arm_length {arm_length} m, tip_width {tip_width} m"
+        raise BadInput(where, given, "three arms or more, and positive sizes")
     half = float(np.pi / arms)
     # The widest pair of tips of an odd star is not opposite: it misses the straight angle by half a sector.
     tip_axis = width / 2.0 if arms % 2 == 0 else width / (2.0 * float(np.cos(half / 2.0)))

@@ -24,7 +24,7 @@ from gelbot.field.images import Tank, images
 from gelbot.field.panel import point_potential, square_potential
 
 CLOSED_FORM_DISTANCE = 4.0
-"""Beyond this many panel sides a panel's potential is that of a point, with a relative error below (1/4)^2 / 12 = 0.5 %."""
+"""Beyond this many panel sides a panel's potential is that of a point: a relative error below (1/4)^2 / 12 = 0.5 %."""
 
 CHUNK = 512
 """Points that are computed at once: few enough that their table stays in the processor's cache."""
@@ -44,7 +44,7 @@ class FieldProblem:
 
 @dataclass(frozen=True)
 class FieldSolution:
-    """Panel currents [A/V], shape (q, e), and bulk potential [V/V], shape (e,), for a unit voltage on each electrode."""
+    """For a unit voltage on each electrode: panel currents [A/V], shape (q, e), and bulk potential [V/V], shape (e,)."""
 
     problem: FieldProblem
     panel_current: NDArray[np.float64]

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from jax import Array
 
 Offset: TypeAlias = Array | tuple[Array, Array, Array]
-"""From the panel's centre to the point [m]: x, y and z, each of any shape. Three arrays are faster than one of three."""
+"""From the panel's centre to the point [m]: x, y and z, each of any shape; three arrays are faster than one."""
 
 TINY = 1e-30
 """Keeps 0/0 out where a term vanishes with its own factor."""

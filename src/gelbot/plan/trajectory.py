@@ -1,7 +1,7 @@
 """The desired trajectory of the centre's height (Section IV-D): a rise with rounded ends.
 
 The minimum-jerk blend  s(tau) = 10 tau^3 - 15 tau^4 + 6 tau^5  (Flash and Hogan 1985) starts and ends without
-velocity or acceleration; `rounding` mixes it with a straight line, because the adsorption that it asks for grows almost linearly.
+velocity or acceleration; `rounding` mixes it with a straight line, which asks for an almost constant voltage.
 """
 
 from __future__ import annotations
