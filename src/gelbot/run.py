@@ -183,7 +183,10 @@ def frames_part(experiment: Experiment, frames: Frame) -> xr.Dataset:
             name: (("time", *dims), np.asarray(values), {"units": units, "long_name": text})
             for name, (dims, values, units, text) in table.items()
         },
-        coords={"time": (("time",), np.asarray(frames.time), {"units": "s", "long_name": "time"})},
+        # Adding up steps leaves a rounding in the last digits that nobody wants to read.
+        coords={
+            "time": (("time",), np.round(np.asarray(frames.time, np.float64), 9), {"units": "s", "long_name": "time"})
+        },
     )
 
 

@@ -44,7 +44,7 @@ class FieldProblem:
 
 @dataclass(frozen=True)
 class FieldSolution:
-    """For a unit voltage on each electrode: panel currents [A/V], shape (q, e), and bulk potential [V/V], shape (e,)."""
+    """For a unit voltage on each electrode: panel currents [A/V], (q, e), and bulk potential [V/V], (e,)."""
 
     problem: FieldProblem
     panel_current: NDArray[np.float64]

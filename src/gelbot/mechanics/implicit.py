@@ -62,14 +62,14 @@ class Preconditioner(NamedTuple):
     frame: Array
 
 
-def balance(mech: Mechanics, x: Array, x0: Array, v0: Array, rest: Array, dt: Array) -> tuple[Array, Array]:
-    """W(x) [J] and the sum of all forces, inertia included [N], shape (3, n), which is minus its gradient.
+def balance(mech: Mechanics, u: Array, x0: Array, v0: Array, rest: Array, dt: Array) -> tuple[Array, Array]:
+    """W(x0 + u) [J] and the sum of all forces, inertia included [N], shape (3, n), which is minus its gradient.
 
-    The forces vanish at the end of a step.
+    `u` [m] is what the nodes have moved in the step. The forces vanish at the end of it.
     """
-    u = x - x0
+    x = x0 + u
     pressed = normal_forces(x0, mech.contact_stiffness, mech.contact_layer)
-    elastic, pull = spring_balance(x, mech.springs, mech.stiffness, rest, mech.incidence)
+    elastic, pull = spring_balance(x0, u, mech.springs, mech.stiffness, rest, mech.incidence)
     energy = (
         0.5 * jnp.sum(mech.node_mass * (u / dt - v0) ** 2)
         + 0.5 / dt * jnp.sum(mech.drag * mech.node_mass * u**2)
@@ -100,15 +100,16 @@ def solve_step(
     last one comes back with the solution.
     """
 
-    def objective(x: Array) -> tuple[Array, Array]:
-        energy, forces = balance(mech, x, x0, v0, rest, dt)
+    # The unknown is the displacement, which single precision holds far more finely than the positions.
+    def objective(u: Array) -> tuple[Array, Array]:
+        energy, forces = balance(mech, u, x0, v0, rest, dt)
         return energy, -forces
 
-    def attempt(x: Array, near: Preconditioner) -> Solution:
+    def attempt(u: Array, near: Preconditioner) -> Solution:
         return minimise(
             objective=objective,
             precondition=lambda g: _precondition(mech, near, frame, g),
-            x=x,
+            x=u,
             tolerance=mech.tolerance * mech.force_scale,
             max_iterations=jnp.minimum(PATIENCE, mech.max_iterations),
         )
@@ -120,12 +121,12 @@ def solve_step(
 
     def renew(carry: tuple[Solution, Preconditioner]) -> tuple[Solution, Preconditioner]:
         before, _ = carry
-        fresh = build_preconditioner(mech, before.x, (before.x - x0) / dt, rest, dt, frame)
+        fresh = build_preconditioner(mech, x0 + before.x, before.x / dt, rest, dt, frame)
         found = attempt(before.x, fresh)
         return Solution(found.x, found.residual, found.iterations + before.iterations), fresh
 
-    found, near = jax.lax.while_loop(unfinished, renew, (attempt(x0 + dt * v0, near), near))
-    return Solution(found.x, found.residual / mech.force_scale, found.iterations), near
+    found, near = jax.lax.while_loop(unfinished, renew, (attempt(dt * v0, near), near))
+    return Solution(x0 + found.x, found.residual / mech.force_scale, found.iterations), near
 
 
 def _precondition(mech: Mechanics, near: Preconditioner, frame: Array, g: Array) -> Array:
@@ -140,6 +141,8 @@ def _precondition(mech: Mechanics, near: Preconditioner, frame: Array, g: Array)
 def build_preconditioner(mech: Mechanics, x: Array, v: Array, rest: Array, dt: Array, frame: Array) -> Preconditioner:
     """Invert the stiffness of a step `dt` [s] in the shape `x` [m], with what would make it indefinite left out."""
     n = x.shape[1]
+    # In double precision: the rigid motions of the body are a million times softer than its springs.
+    x = x.astype(jnp.float64)
     along = x[:, mech.springs[1]] - x[:, mech.springs[0]]
     length = jnp.sqrt(jnp.sum(along**2, axis=0))
     unit = along / length
@@ -157,6 +160,5 @@ def build_preconditioner(mech: Mechanics, x: Array, v: Array, rest: Array, dt: A
     inertia = mech.node_mass / dt**2 + mech.drag * mech.node_mass / dt
     diagonal = (inertia + jnp.stack([grip, grip, floor])).ravel()
     full = matrix.reshape(3 * n, 3 * n) + jnp.diag(diagonal)
-    # In double precision: the rigid motions of the body are a million times softer than its springs.
-    inverse = block_inverse(full.astype(jnp.float64))
+    inverse = block_inverse(full)
     return Preconditioner(inverse.astype(jnp.float32), frame)

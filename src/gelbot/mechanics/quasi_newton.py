@@ -88,7 +88,7 @@ def _advance(it: _Iterate, objective: Objective, precondition: Callable[[Array],
 
     y = g - it.gradient
     product = jnp.sum(s * y)
-    useful = product > 1e-14 * jnp.sqrt(jnp.sum(s**2) * jnp.sum(y**2))
+    useful = product > 1e-14 * jnp.sqrt(jnp.sum(s**2)) * jnp.sqrt(jnp.sum(y**2))
     keep = useful & ~too_long
     steps = jnp.where(keep, jnp.roll(it.steps, -1, axis=0).at[-1].set(s), it.steps)
     changes = jnp.where(keep, jnp.roll(it.changes, -1, axis=0).at[-1].set(y), it.changes)

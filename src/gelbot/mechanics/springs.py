@@ -38,15 +38,20 @@ def rest_length(spring_length: Array, p_l: Array, ads: Array, faces: Array, weig
 
 
 def spring_balance(
-    positions: Array, springs: Array, stiffness: Array, rest: Array, incidence: Array
+    start: Array, displacement: Array, springs: Array, stiffness: Array, rest: Array, incidence: Array
 ) -> tuple[Array, Array]:
-    """Elastic energy sum_s k_s (l_s - l_0s)^2 / 2 [J] and its forces on the nodes [N], shape (3, n).
+    """Elastic energy sum_s k_s (l_s - l_0s)^2 / 2 [J] and its forces [N] on the nodes at `start` + `displacement` [m].
 
-    `incidence` comes from `node_springs`. Both are computed at once: they share the lengths.
+    Nodes' quantities have shape (3, n). `incidence` comes from `node_springs`. Both are computed at once: they share
+    the lengths. A small displacement acts through its differences, not its sum with `start`, which in single precision
+    is known to 1 nm only: a spring would feel that as a tenth of a node's weight.
     """
-    along = positions[:, springs[1]] - positions[:, springs[0]]
-    length = jnp.sqrt(jnp.sum(along**2, axis=0))
-    stretch = length - rest
+    before = start[:, springs[1]] - start[:, springs[0]]
+    change = displacement[:, springs[1]] - displacement[:, springs[0]]
+    along = before + change
+    length_before, length = jnp.sqrt(jnp.sum(before**2, axis=0)), jnp.sqrt(jnp.sum(along**2, axis=0))
+    growth = jnp.sum(change * (before + along), axis=0) / (length_before + length)  # length - length_before
+    stretch = (length_before - rest) + growth
     tension = (stiffness * stretch / length) * along
     # A node sums the springs that end at it: a gather, which is far cheaper than a scatter.
     both_ends = jnp.concatenate([tension, -tension, jnp.zeros((3, 1), tension.dtype)], axis=1)
