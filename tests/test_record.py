@@ -264,3 +264,15 @@ def test_a_run_that_was_stopped_before_its_first_frame(tmp_path: Path) -> None:
     assert s["simulated_s"] == 0.0
     assert s["status"] == "running"
     assert s.keys() == summarise(made_run(np.ones(5), np.zeros(5)), wall_s=0.1, compile_s=None).keys()
+
+
+def test_a_body_that_leaves_the_tabulated_field_says_when() -> None:
+    run = made_run(np.ones(5), np.zeros(5))
+    position = np.zeros((5, 3, 2))
+    position[:, 2, 0] = -1e-3  # pressed into the floor: no matter
+    position[3:, 0, 1] = 0.021
+    far = run.assign(position=(("time", "space", "node"), position))
+    assert summarise(far, wall_s=0.1, compile_s=None)["left_working_volume_s"] is None
+    far.attrs["working_volume"] = [[-0.02, -0.02, 0.0], [0.02, 0.02, 0.014]]
+    left = summarise(far, wall_s=0.1, compile_s=None)["left_working_volume_s"]
+    assert left == float(far["time"][3])

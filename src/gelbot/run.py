@@ -18,6 +18,7 @@ from gelbot import __version__
 from gelbot.control.programme import Playing, begin, play
 from gelbot.engine import prepare_engine
 from gelbot.errors import BadInput, SimulationFailed
+from gelbot.field.lead_field import working_volume
 from gelbot.points import observe
 from gelbot.record.run_store import RunStore, open_run
 from gelbot.record.summary import summarise
@@ -153,6 +154,7 @@ def static_part(experiment: Experiment, loaded: Loaded) -> xr.Dataset:
             "thickness": scenario.body.thickness,
             "time_step": scenario.simulation.time_step,
             "limit": scenario.supply.limit,
+            "working_volume": [edge.tolist() for edge in working_volume(experiment.model.lead)],
             "status": "running",
             "machine": platform.platform(),
         },

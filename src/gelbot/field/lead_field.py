@@ -52,6 +52,12 @@ def build_lead_field(
     )
 
 
+def working_volume(lead: LeadField) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The lowest and the highest corner [m], shape (3,) each, of the box in which `lead` is tabulated."""
+    low = np.asarray(lead.origin, np.float64)
+    return low, low + float(lead.spacing) * np.asarray(lead.cells)
+
+
 def potential_coefficients(lead: LeadField, voltages: Array) -> Array:
     """Superposition: spline coefficients of the potential [V] for `voltages` [V], shape (e,); shape (nx * ny * nz,)."""
     return voltages @ lead.coefficients

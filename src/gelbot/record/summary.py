@@ -29,6 +29,7 @@ MEASURED = (
     "final_height_mm",
     "iterations_mean",
     "iterations_max",
+    "left_working_volume_s",
 )
 """What is read from the frames; a run without frames has None there."""
 
@@ -39,7 +40,8 @@ def summarise(run: xr.Dataset, wall_s: float | None, compile_s: float | None) ->
     `run`: a run data set, `wall_s` and `compile_s` [s]: what it took to compute. The switch is the first frame of
     phase 1; the transition ends when the normal's z first falls below -0.8; `stayed_over_s` is the length of the final
     stretch in which it stays there; the charge is the time integral of half the sum of the electrodes' |currents|.
-    Frames that are not finite do not count.
+    `left_working_volume_s` is when the body first left the box in which the field is tabulated: from then on it is
+    taken from the box's nearest point. Frames that are not finite do not count.
     """
     names = {
         "scenario": run.attrs.get("scenario_name"),
@@ -80,12 +82,27 @@ def summarise(run: xr.Dataset, wall_s: float | None, compile_s: float | None) ->
         "final_height_mm": float(height[-1] * 1e3),
         "iterations_mean": float(iterations.mean()),
         "iterations_max": int(iterations.max()),
+        "left_working_volume_s": _number(time, _first(_outside(run))),
     }
 
 
 def _values(run: xr.Dataset, name: str) -> NDArray[Any]:
     """A variable with time first and the other dimensions in the order of the data set's description."""
     return run[name].transpose("time", ...).values
+
+
+def _outside(run: xr.Dataset) -> NDArray[np.bool_]:
+    """At which frames a part of the body is beyond the sides or the top of the box in which the field is known.
+
+    Below it, the field hardly differs from that at its bottom: a resting body presses a little into the floor.
+    """
+    if "working_volume" not in run.attrs:
+        return np.zeros(run.sizes["time"], dtype=bool)
+    position = _values(run, "position")
+    low, high = np.array(run.attrs["working_volume"])
+    low[VERTICAL] = -np.inf
+    beyond = (position < low[:, None]) | (position > high[:, None])
+    return np.any(beyond, axis=(1, 2))
 
 
 def _first(condition: NDArray[np.bool_]) -> int | None:

@@ -47,6 +47,12 @@ def print_summary(summary: Mapping[str, Any], console: Console | None = None) ->
         f"{_value(summary, 'peak_current_A', '.3g', ' A')} per electrode; "
         f"charge {_value(summary, 'charge_C', '.3g', ' C')}",
     )
+    left = summary.get("left_working_volume_s")
+    if left is not None:
+        lines += (
+            f"from {left:.1f} s on a part of the body was so far from its start, or so near the electrodes, that its "
+            "field was taken from the nearest place where it had been tabulated",
+        )
     for line in lines:
         console.print(line, highlight=False, markup=False)
 
