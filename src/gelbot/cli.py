@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,6 +21,9 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+
+STOPPED = 130
+"""Exit code after Ctrl-C, as shells have it."""
 
 RUN_MARKS = ("run.zarr", "summary.json")
 """A folder that holds one of these holds a run."""
@@ -104,6 +108,12 @@ def run(
             if folder.exists():
                 typer.echo(f"gelbot: what was computed is kept in {folder}", err=True)
             raise
+        except KeyboardInterrupt:
+            kept = f"; what was computed is kept in {folder}" if folder.exists() else ""
+            typer.echo(f"gelbot: stopped{kept}", err=True)
+            sys.stderr.flush()
+            # All is written. The engine, stopped while it compiles, would crash when the interpreter takes it apart.
+            os._exit(STOPPED)
     if as_json:
         _print_json(summary)
     else:

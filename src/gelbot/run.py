@@ -35,7 +35,8 @@ def run_scenario(loaded: Loaded, out: Path, movie: bool = True, progress: bool =
     """Simulate `loaded`, write everything into the folder `out` and return the summary.
 
     Raises `BadInput` before anything is written, and `SimulationFailed` when a step does not converge: what was
-    computed until then is kept, with its summary and pictures.
+    computed until then is kept, with its summary and pictures. A run that is stopped from the keyboard keeps what was
+    computed and its summary.
     """
     prepare_engine()
     try:
@@ -45,7 +46,7 @@ def run_scenario(loaded: Loaded, out: Path, movie: bool = True, progress: bool =
     out.mkdir(parents=True, exist_ok=True)
     (out / SCENARIO).write_text(loaded.text, encoding="utf-8")
     store = RunStore.create(out / RUN, static_part(experiment, loaded))
-    failure: SimulationFailed | None = None
+    failure: SimulationFailed | KeyboardInterrupt | None = None
     times = {"wall_s": 0.0, "compile_s": 0.0}
     try:
         with RunProgress(loaded.scenario.simulation.duration) if progress else _Silent() as bar:
@@ -54,13 +55,14 @@ def run_scenario(loaded: Loaded, out: Path, movie: bool = True, progress: bool =
     except SimulationFailed as error:
         failure = error
         store.finish(f"failed: {error}")
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
+        failure = stop
         store.finish("stopped by the user")
-        raise
     run = open_run(out / RUN)
     summary = summarise(run, times["wall_s"], times["compile_s"])
     _write_whole(out / SUMMARY, json.dumps(summary, indent=2) + "\n")
-    if run.sizes.get("time", 0) > 1:
+    # Who stops a run does not want to wait for its pictures.
+    if run.sizes.get("time", 0) > 1 and not isinstance(failure, KeyboardInterrupt):
         _draw(run, loaded, out, movie, progress)
     if failure is not None:
         raise failure
