@@ -93,13 +93,16 @@ def _simulate(experiment: Experiment, store: RunStore, bar: RunProgress | _Silen
     state, dt = experiment.state, jnp.asarray(scenario.simulation.time_step, experiment.state.positions.dtype)
     memory = Playing(experiment.programme, begin(observe(experiment.model.points, state.positions)))
     compiled: dict[int, Any] = {}
-    bar.update(0.0, names[0], float(memory.progress.last_height) * 1e3)
+    low = float(memory.progress.last_height) * 1e3
+    bar.update(0.0, "compiling", low)
     while left > 0:
         count = min(per_chunk, left)
         if count not in compiled:
             began = clock.perf_counter()
             compiled[count] = rollout.lower(experiment.model, state, play, memory, dt, count, steps).compile()
             times["compile_s"] += clock.perf_counter() - began
+            if len(compiled) == 1:
+                bar.update(0.0, names[0], low)
         began = clock.perf_counter()
         state, memory, frames = jax.block_until_ready(compiled[count](experiment.model, state, memory, dt))
         times["wall_s"] += clock.perf_counter() - began

@@ -12,8 +12,8 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn
 class RunProgress:
     """A context manager that shows how far a run of `duration` [s] has come; feed it with `update`.
 
-    Off a terminal it prints one line per phase. The speed counts from the first update, so that what came before, such
-    as compiling, does not spoil it.
+    Off a terminal it prints one line per phase. The speed counts from the last update at the time of the first, so that
+    what came before, such as compiling, does not spoil it.
     """
 
     def __init__(self, duration: float, console: Console | None = None) -> None:
@@ -41,7 +41,7 @@ class RunProgress:
     def update(self, time: float, phase_name: str, height_mm: float) -> None:
         """Show the simulated `time` [s], the phase and the centre's height [mm]."""
         now = clock.perf_counter()
-        if self._first is None:
+        if self._first is None or time <= self._first[1]:
             self._first = (now, time)
         passed, simulated = now - self._first[0], time - self._first[1]
         speed = f"{simulated / passed:.1f}x real time" if passed > 0.0 and simulated > 0.0 else ""
