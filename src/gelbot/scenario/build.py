@@ -140,8 +140,8 @@ def build_programme(scenario: Scenario, array: ElectrodeArray) -> Programme:
         for phase in phases
     ]
     named = [phase.until is not None and phase.until.model_fields_set - {"after"} != set() for phase in phases]
-    low, low_time = scenario.body.thickness / 2.0, np.array([0.0, 1.0])
-    times, heights = low_time, np.array([low, low])
+    times, heights = np.array([0.0, 1.0]), np.array([np.nan, np.nan])  # nothing to follow
+    low = scenario.body.thickness / 2.0
     if programme.reference is not None:
         reference = programme.reference
         times, heights = rise(low, reference.height, reference.duration, reference.rounding)

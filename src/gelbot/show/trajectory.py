@@ -73,9 +73,10 @@ def draw_height(axes: Axes, run: xr.Dataset, faint: bool = False) -> None:
     """The centre's height and its reference [mm]; `faint`: in grey, as the ground of a curve that grows on it."""
     time, height = run["time"].values, run["centre"].transpose("time", "space").values[:, 2] * 1e3
     reference, phase = run["reference"].values * 1e3, run["phase"].values
-    axes.plot(time, reference, "--", color=FAINT if faint else INK, lw=1.2, label="reference")
+    if np.isfinite(reference).any():
+        axes.plot(time, reference, "--", color=FAINT if faint else INK, lw=1.2, label="reference")
     axes.plot(time, height, color="#c4c4c4" if faint else BLUE, lw=1.2 if faint else 2.0, label="centre of the body")
-    axes.set_ylim(0.0, 1.18 * max(height.max(), reference.max()))
+    axes.set_ylim(0.0, 1.18 * float(np.nanmax([height, reference])))
     axes.set_ylabel("height [mm]", fontsize=8 if faint else None)
     if faint:
         axes.set_xlabel("time [s]", fontsize=8, labelpad=1)
@@ -103,8 +104,11 @@ def _draw_tips(axes: Axes, run: xr.Dataset) -> None:
         # Thinner and thinner, so that tips that move alike all show.
         width = 1.1 + 0.6 * max(0, len(TIP_COLOURS) - 1 - tip)
         axes.plot(time, _without_jumps(angle), color=colour, lw=width, label=str(tip + 1))
+    # The smallest of these scales that holds all angles.
+    reach = next((r for r in (45, 90, 180) if np.abs(angles).max() <= r), 180)
     axes.axhline(90.0, color=FAINT, lw=0.8, ls=":")
-    axes.set(ylabel="tip angle [deg]", ylim=(-195.0, 195.0), yticks=[-180, -90, 0, 90, 180])
+    marks = np.arange(-reach, reach + 1, 90 if reach > 90 else 45)
+    axes.set(ylabel="tip angle [deg]", ylim=(-1.08 * reach, 1.08 * reach), yticks=marks)
     if 1 < angles.shape[1] <= len(TIP_COLOURS):
         axes.legend(title="tip", loc="lower left", ncols=5, fontsize=8, title_fontsize=8, handlelength=1.2)
 
