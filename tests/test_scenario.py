@@ -64,6 +64,7 @@ MISTAKES = [
     ("programme.phases.0.pattern=rigde", "programme.phases.0.pattern", "'rigde'", "Try: ridge"),
     ("programme.phases.1.drive=11 V", "programme.phases.1.drive", "'11 V'", "supply.limit"),
     ("programme.phases.1.drive=full", "programme.phases.1.drive", "'full'", '"servo"'),
+    ("programme.phases.2.until.after=3 s", "programme.phases.2.until", "a table", "goes on to the end of the run"),
     ("programme.phases.0.until={}", "programme.phases.0.until", "{}", "at least one of height"),
     ("programme.phases=[]", "programme.phases", "[]", "not empty"),
     ("programme.servo.sign=plus", "programme.servo.sign", "'plus'", "'corrected' or 'printed'"),
@@ -175,9 +176,9 @@ def test_a_change_changes_one_value_and_nothing_else(place: tuple[str, str], val
 @pytest.mark.parametrize(
     "changes",
     [
-        ["tank.depth=30 mm", "body.root_width=2.5 mm", "programme.phases.2.until.after=3 s"],
+        ["tank.depth=30 mm", "body.root_width=2.5 mm", "programme.phases.1.until.after=3 s"],
         ['programme.phases.0={name="a", pattern="off", drive="0 V", until={after="1 s"}}', "supply.limit=20 V"],
-        ['programme.phases=[{name="a", pattern="ridge", drive="5 V"}]', "programme.phases.0.until.after=2 s"],
+        ['programme.phases=[{name="a", pattern="ridge", drive="5 V"}]', "programme.phases.0.name=b"],
         ['tank={floor_depth="0 mm", friction=0}', "body.pose.position.1=0 mm", "name=mine"],
     ],
 )

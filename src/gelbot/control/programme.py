@@ -14,6 +14,9 @@ from jax import Array
 from gelbot.control.servo import saturate, servo
 from gelbot.points import Observation
 
+CLOCK_SLACK = 1e-4
+"""Added up in single precision, a minute of steps is off by less than this [s]."""
+
 
 class Phases(NamedTuple):
     """Constant data of `p` phases.
@@ -83,7 +86,7 @@ def is_over(phases: Phases, progress: Progress, time: Array, observation: Observ
         & (vertical >= phases.tip_angles[k])
         & (observation.normal[2] <= phases.normals[k])
     )
-    late = time - progress.began >= phases.durations[k] - 1e-9
+    late = time - progress.began >= phases.durations[k] - CLOCK_SLACK
     return (event | late) & (k < phases.patterns.shape[0] - 1)
 
 

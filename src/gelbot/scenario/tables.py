@@ -200,6 +200,8 @@ class Programme(Table):
                     raise wrong(key, NOTHING, f'a table: programme.phases.{index}.drive is "servo" and needs it')
             if phase.hold is not None and phase.drive != "servo":
                 raise wrong(f"phases.{index}.hold", shown(phase.hold, "m"), 'only with drive = "servo"')
+            if phase.until is not None and index == len(self.phases) - 1:
+                raise wrong(f"phases.{index}.until", "a table", "nothing: the last phase goes on to the end of the run")
             if phase.until is None and index < len(self.phases) - 1:
                 allowed = "a table: the phase is followed by another"
                 raise wrong(f"phases.{index}.until", NOTHING, allowed, 'after = "10 s"')
