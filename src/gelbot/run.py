@@ -113,10 +113,10 @@ def _simulate(experiment: Experiment, store: RunStore, bar: RunProgress | _Silen
         if good < count:
             raise _failure(frames, good, scenario.simulation.tolerance)
         left -= count
-        bar.update(float(frames.time[-1]), names[int(frames.command.phase[-1])], float(state_height(frames)) * 1e3)
+        bar.update(float(frames.time[-1]), names[int(frames.command.phase[-1])], float(_last_height(frames)) * 1e3)
 
 
-def state_height(frames: Frame) -> np.floating[Any]:
+def _last_height(frames: Frame) -> np.floating[Any]:
     """The centre's height at the end of `frames` [m]."""
     return np.asarray(frames.observation.centre)[-1, 2]
 
