@@ -15,15 +15,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gelbot.body.symmetry import rotation
 from gelbot.control.programme import Playing, begin, play
 from gelbot.engine import prepare_engine
 from gelbot.points import observe
+from gelbot.record.summary import summarise
+from gelbot.run import frames_part
 from gelbot.scenario import load
 from gelbot.scenario.build import Experiment, build
 from gelbot.simulate import rollout, start
 
-OVER = -0.8
-"""The body lies on its back when the z of its normal is below this."""
 STAYS = 10.0
 """It stays over when it does so for this long [s] at the end of the run."""
 
@@ -42,8 +43,7 @@ def moved(experiment: Experiment, shift: np.ndarray, turn: float) -> jax.Array:
     """The start positions [m] (3, n), moved by `shift` [m] (2,) and turned about the body's centre by `turn` [rad]."""
     x = np.asarray(experiment.state.positions)
     centre = np.array(experiment.scenario.body.pose.position)[:, None]
-    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    return jnp.asarray(np.vstack([rotation @ (x[:2] - centre) + centre + shift[:, None], x[2:]]))
+    return jnp.asarray(np.vstack([rotation(turn) @ (x[:2] - centre) + centre + shift[:, None], x[2:]]))
 
 
 def outcome(experiment: Experiment, shift: np.ndarray, turn: float) -> Outcome:
@@ -61,16 +61,12 @@ def outcome(experiment: Experiment, shift: np.ndarray, turn: float) -> Outcome:
         round(scenario.simulation.duration / period),
         round(period / scenario.simulation.time_step),
     )
-    time, phase = np.asarray(frames.time), np.asarray(frames.command.phase)
-    z, normal = np.asarray(frames.observation.centre[:, 2]), np.asarray(frames.observation.normal[:, 2])
+    summary = summarise(frames_part(experiment, jax.tree.map(np.asarray, frames)), None, None)
+    switch, height, transition = (
+        np.nan if summary[key] is None else summary[key] for key in ("t_switch_s", "z_switch_mm", "t_transition_s")
+    )
     converged = bool(np.all(np.asarray(frames.report.residual) <= scenario.simulation.tolerance))
-    if not np.any(phase >= 1):
-        return Outcome(np.nan, np.nan, np.nan, 0.0, converged)
-    switched = int(np.argmax(phase >= 1))
-    over = np.flatnonzero((normal < OVER) & (phase >= 1))
-    transition = time[over[0]] - time[switched] if len(over) else np.nan
-    stayed = time[-1] - time[np.flatnonzero(normal >= OVER)[-1]] if normal[-1] < OVER else 0.0
-    return Outcome(time[switched], z[switched], transition, stayed, converged)
+    return Outcome(switch, height * 1e-3, transition, summary["stayed_over_s"], converged)
 
 
 def study(scenario: str, changes: list[str], runs: int, shift_mm: float, turn_deg: float, seed: int) -> list[Outcome]:

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
+from rich.console import Console
 
 from gelbot import __version__
 from gelbot.control.programme import Playing, begin, play
@@ -49,7 +50,8 @@ def run_scenario(loaded: Loaded, out: Path, movie: bool = True, progress: bool =
     failure: SimulationFailed | KeyboardInterrupt | None = None
     times = {"wall_s": 0.0, "compile_s": 0.0}
     try:
-        with RunProgress(loaded.scenario.simulation.duration) if progress else _Silent() as bar:
+        console = Console(stderr=True, quiet=not progress)
+        with RunProgress(loaded.scenario.simulation.duration, console) as bar:
             _simulate(experiment, store, bar, times)
         store.finish("finished")
     except SimulationFailed as error:
@@ -69,20 +71,7 @@ def run_scenario(loaded: Loaded, out: Path, movie: bool = True, progress: bool =
     return summary
 
 
-class _Silent:
-    """In the place of a progress bar where nobody looks."""
-
-    def __enter__(self) -> _Silent:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-    def update(self, time: float, phase_name: str, height_mm: float) -> None:
-        pass
-
-
-def _simulate(experiment: Experiment, store: RunStore, bar: RunProgress | _Silent, times: dict[str, float]) -> None:
+def _simulate(experiment: Experiment, store: RunStore, bar: RunProgress, times: dict[str, float]) -> None:
     """Chunk after chunk: compute, write, show. `times` counts computing alone, not writing and drawing."""
     scenario = experiment.scenario
     period, names = scenario.programme.control_period, [phase.name for phase in scenario.programme.phases]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelbot.body.lattice import Body, build_body
+from gelbot.body.symmetry import rotation
 from gelbot.control.programme import Phases, Programme
 from gelbot.field.charge import FieldSolution, build_problem, solve
 from gelbot.field.electrodes import ElectrodeArray, square_array
@@ -76,8 +77,7 @@ def build(scenario: Scenario) -> Experiment:
 def posed(scenario: Scenario, body: Body) -> NDArray[np.float64]:
     """Node positions at the start [m], shape (3, n); the body lies on the floor's contact layer."""
     pose = scenario.body.pose
-    turned = np.array([[np.cos(pose.heading), -np.sin(pose.heading)], [np.sin(pose.heading), np.cos(pose.heading)]])
-    flat = turned @ body.nodes[:2] + np.array(pose.position)[:, None]
+    flat = rotation(pose.heading) @ body.nodes[:2] + np.array(pose.position)[:, None]
     return np.vstack([flat, body.nodes[2] + pose.lift + CONTACT_LAYER * body.thickness])
 
 

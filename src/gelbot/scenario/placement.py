@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gelbot.body.symmetry import rotation
 from gelbot.scenario.bodies import Body
 from gelbot.scenario.fields import wrong
 from gelbot.scenario.tables import Electrodes, Programme, Supply, Tank
@@ -17,8 +18,7 @@ SLACK = 1e-9
 def posed_points(body: Body) -> NDArray[np.float64]:
     """The outline of the body where it lies at the start, in the array's frame [m], shape (p, 2)."""
     pose = body.pose
-    cos, sin = np.cos(pose.heading), np.sin(pose.heading)
-    return body.outline().points @ np.array([[cos, sin], [-sin, cos]]) + np.array(pose.position)
+    return body.outline().points @ rotation(pose.heading).T + np.array(pose.position)
 
 
 def check_heights(body: Body, electrodes: Electrodes, tank: Tank) -> None:
