@@ -6,11 +6,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-import jax
+from gelbot.engine import prepare_engine
 
-jax.config.update("jax_enable_x64", True)
+prepare_engine()  # before anything is computed
 
-import jax.numpy as jnp  # noqa: E402 - after the precision is set
+import jax  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 from hypothesis import settings  # noqa: E402

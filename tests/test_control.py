@@ -6,6 +6,7 @@
 | saturation | any amplitude | within the supply's limit |
 | programme | phase after a tick | each condition alone, all together, the clock |
 | templates | pattern of a mirrored robot | the mirrored pattern |
+| templates of a rectangular array | by distances | by rows and columns |
 | trajectory | `rise` | its ends, and the blend's polynomial |
 """
 
@@ -21,7 +22,7 @@ from hypothesis import strategies as st
 from gelbot.control.programme import Phases, Programme, Progress, advance, begin, is_over
 from gelbot.control.servo import saturate, servo
 from gelbot.errors import BadInput
-from gelbot.field.electrodes import square_array
+from gelbot.field.electrodes import Disc, Rod, hexagonal_array, rectangular_array, square_array
 from gelbot.plan.templates import TEMPLATES, template
 from gelbot.plan.trajectory import rise
 from gelbot.points import Observation
@@ -243,6 +244,50 @@ class TestTemplates:
     def test_all_are_shares_of_the_amplitude(self):
         for name in TEMPLATES:
             assert np.abs(pattern(name)).max() <= 1.0
+
+    @given(st.integers(1, 6), st.integers(1, 6), st.floats(-80, 80), st.floats(-80, 80))
+    def test_by_distances_as_by_rows_and_columns(self, rows, columns, x, y):
+        array, robot = square_array(rows, columns, 10 * MM, 15 * MM, 15 * MM), np.array([x, y]) * MM
+        row, column = np.divmod(np.arange(rows * columns), columns)
+        home = int(np.argmin(np.linalg.norm(array.centres[:2] - robot[:, None], axis=0)))
+        down, right = row - row[home], column - column[home]
+        minus = {
+            "ridge": down == right,
+            "crossed-ridge": down == -right,
+            "cathode": (down == 0) & (right == 0),
+            "anode": (down != 0) | (right != 0),
+            "plus": down + right > 0,
+            "minus": down + right < 0,
+        }
+        for name, cathodes in minus.items():
+            assert np.array_equal(template(name, array, robot), np.where(cathodes, -1.0, 1.0)), name
+        uniform = np.linspace(-1.0, 1.0, columns)[column] if columns > 1 else np.zeros(rows)
+        assert template("uniform", array, robot) == pytest.approx(uniform)
+
+    def test_of_a_hexagonal_array(self):
+        """The rows at 60 deg come closest to the diagonals: the two neighbours up to the right and down to the left."""
+        array, robot = hexagonal_array(Disc(5 * MM), 5, 5, 10 * MM, 15 * MM), np.zeros(2)
+        home = int(np.argmin(np.linalg.norm(array.centres[:2], axis=0)))
+        offset = array.centres[:2] - array.centres[:2, home, None]
+        near = np.linalg.norm(offset, axis=0) < 11 * MM
+        for name, direction in (("ridge", np.pi / 3), ("crossed-ridge", 2 * np.pi / 3)):
+            along = 10 * MM * np.array([np.cos(direction), np.sin(direction)])
+            expected = [np.linalg.norm(offset.T - k * along, axis=1) < 1e-9 for k in (-1, 0, 1)]
+            assert np.array_equal(near & (template(name, array, robot) < 0), np.any(expected, axis=0)), name
+        assert (template("cathode", array, robot) < 0).sum() == 1
+        assert np.ptp(template("uniform", array, robot)) == pytest.approx(2.0)
+
+    def test_half_planes_leave_out_the_crossed_ridge(self):
+        for array in (ARRAY, hexagonal_array(Disc(5 * MM), 4, 6, 10 * MM, 15 * MM)):
+            names = ("plus", "minus", "crossed-ridge")
+            minus = np.array([template(name, array, np.array([3 * MM, 8 * MM])) < 0 for name in names])
+            assert np.array_equal(minus.sum(axis=0), np.ones(array.count))
+
+    def test_a_single_electrode_and_some_above_each_other(self):
+        one = rectangular_array(Rod(2 * MM, 9 * MM), 1, 1, (0.0, 0.0), 15 * MM)
+        assert [template(name, one, np.zeros(2))[0] for name in TEMPLATES] == [-1, -1, -1, 1, 1, 1, 0, 0]
+        column = square_array(3, 1, 10 * MM, 15 * MM, 15 * MM)
+        assert not np.any(template("uniform", column, np.zeros(2)))
 
     def test_unknown_name(self):
         with pytest.raises(BadInput, match="crossed-ridge"):

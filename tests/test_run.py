@@ -68,6 +68,8 @@ UNITS = {
     "residual": (("time",), "1"),
     "rest_position": (("space", "node"), "m"),
     "electrode_centre": (("space", "electrode"), "m"),
+    "electrode_outline": (("space", "outline_corner", "electrode"), "m"),
+    "electrode_potential": (("time", "electrode"), "V"),
 }
 SUMMARY_KEYS = {
     "turned_over",
@@ -151,7 +153,9 @@ class TestFolder:
         assert dome.data.attrs["status"] == "finished"
         assert dome.data.attrs["precision"] == "float64"
         assert dome.data.attrs["phase_names"] == ["dome"]
-        assert dome.data.attrs["electrode_side"] == 10 * MM
+        assert dome.data["electrode_outline"].dims == ("space", "outline_corner", "electrode")
+        assert np.ptp(dome.data["electrode_outline"].values[:2], axis=1) == pytest.approx(10 * MM)
+        assert set(dome.data.attrs["electrode_states"]) == {"driven"}
         assert dome.data.attrs["limit"] == 10.0
 
     def test_a_frame_each_interval(self, dome: Run):

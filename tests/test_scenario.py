@@ -53,11 +53,15 @@ MISTAKES = [
     ("material.p_ele=0.02 mA/cm^2", "material.p_ele", "'0.02 mA/cm^2'", "an area per current"),
     ("electrodes.rows=0", "electrodes.rows", "0", "at least 1"),
     ("electrodes.gap=0.8 mm", "electrodes.gap", "'0.8 mm'", "more than body.thickness"),
-    ("electrodes.panels=50", "electrodes.panels", "50", "at most 10000"),
-    ("tank.depth=15 mm", "tank.depth", "'15 mm'", "more than electrodes.gap"),
+    ("electrodes.panels=50", "electrodes.panels", "50", "at most 20000"),
+    ("tank.depth=14 mm", "tank.depth", "'14 mm'", "at least 15 mm: electrode 0 reaches to z = 15 mm"),
+    ("tank.floor_depth=-1 mm", "tank.floor_depth", "'-1 mm'", "at least 0"),
     ('tank.size=["80 mm", "150 mm"]', "tank.size", "80 mm", "at least 85 mm"),
     ("tank.friction=-0.1", "tank.friction", "-0.1", "at least 0"),
     ("supply.limit=0 V", "supply.limit", "'0 V'", "greater than 0"),
+    ("supply.current_limit=0 A", "supply.current_limit", "'0 A'", "greater than 0"),
+    ("material.conductivity=0 S/m", "material.conductivity", "'0 S/m'", "greater than 0"),
+    ("electrodes.pitch=25 mm", "electrodes.pitch", "'25 mm'", "one of space and pitch"),
     (f"programme.phases.0.pattern={[1] * 17}", "programme.phases.0.pattern", "17 voltages", "16 voltages"),
     (f"programme.phases.0.pattern={[[1] * 8] * 2}", "programme.phases.0.pattern", "2 rows", "4 rows of 4"),
     (f"programme.phases.0.pattern={[1.5] * 16}", "programme.phases.0.pattern", "1.5", "at most 1"),
@@ -97,6 +101,10 @@ def test_a_body_through_the_wall_of_the_tank_is_refused():
     load("turn-over", with_body_in_tank("37 mm"))
     with pytest.raises(BadInput, match="inside the tank"):
         load("turn-over", with_body_in_tank("38 mm"))
+
+
+def test_plates_may_lie_in_the_surface():
+    assert load("turn-over", ["tank.depth=15 mm"]).scenario.tank.depth == pytest.approx(0.015)
 
 
 def test_a_missing_key_says_what_belongs_there():

@@ -25,9 +25,6 @@ app = typer.Typer(
 STOPPED = 130
 """Exit code after Ctrl-C, as shells have it."""
 
-RUN_MARKS = ("run.zarr", "summary.json")
-"""A folder that holds one of these holds a run."""
-
 
 @contextmanager
 def plain_errors() -> Iterator[None]:
@@ -98,7 +95,7 @@ def run(
         from gelbot.scenario import load
 
         loaded = load(scenario, changes or [])
-        folder = checked_folder(out) if out is not None else free_folder(loaded.scenario.name)
+        folder = _folder(out, "runs", loaded.scenario.name)
 
         from gelbot.run import run_scenario
 
@@ -123,44 +120,77 @@ def run(
         typer.echo(f"results in {folder}")
 
 
-def free_folder(name: str) -> Path:
-    """The folder runs/`name`, or the first of runs/`name`-2, -3, ... that holds no run yet."""
-    folder, count = Path("runs") / name, 1
-    while _holds_run(folder):
-        count += 1
-        folder = Path("runs") / f"{name}-{count}"
-    return checked_folder(folder)
+@app.command()
+def field(
+    scenario: Annotated[str, typer.Argument(help="A built-in scenario or a scenario file.")],
+    voltages: Annotated[
+        str | None, typer.Option(help='One for each electrode, in volts or with units: "-10, 10, 0.5 V, ...".')
+    ] = None,
+    template: Annotated[str | None, typer.Option(help="A template of voltages, such as ridge.")] = None,
+    amplitude: Annotated[
+        str | None,
+        typer.Option(help='What a template or a pattern is multiplied by, such as "5 V". [default: supply.limit]'),
+    ] = None,
+    planes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--plane",
+            metavar="AXIS=PLACE",
+            help="A plane to draw, such as z=1mm. Repeatable. [default: a section and a view from above of the gel]",
+        ),
+    ] = None,
+    points: Annotated[
+        Path | None, typer.Option(help="A CSV file with columns x, y, z: the field there goes to points.csv.")
+    ] = None,
+    gel_conductivity: Annotated[
+        str | None, typer.Option(help='The gel as a conductor of its own, such as "0.4 S/m".')
+    ] = None,
+    run: Annotated[
+        Path | None, typer.Option(help="Take the gel's shape, and the voltages, from this run's folder.")
+    ] = None,
+    time: Annotated[str | None, typer.Option(help='When in the run, such as "40 s". [default: its end]')] = None,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="Change one value, such as electrodes.gap='12 mm'. Repeatable."
+        ),
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for the results. [default: fields/NAME]")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print field.json, and nothing else.")] = False,
+) -> None:
+    """Compute the electric field of a scenario: currents, maps of potential and current density, values at points."""
+    with plain_errors():
+        from gelbot.scenario import load
+
+        loaded = load(scenario, changes or [])
+        folder = _folder(out, "fields", loaded.scenario.name)
+
+        from gelbot.field_report.asked import Request
+        from gelbot.field_report.report import report_field
+
+        request = Request(voltages, template, amplitude, tuple(planes or ()), points, gel_conductivity, run, time)
+        try:
+            report = report_field(loaded, request, folder, progress=not as_json)
+        except KeyboardInterrupt:
+            typer.echo("gelbot: stopped", err=True)
+            sys.stderr.flush()
+            os._exit(STOPPED)
+    if as_json:
+        from gelbot.field_report.words import as_text
+
+        typer.echo(as_text(report), nl=False)
+    else:
+        from gelbot.show.field_table import print_field
+
+        print_field(report)
+        typer.echo(f"results in {folder}")
 
 
-def checked_folder(folder: Path) -> Path:
-    """`folder`, to which a run can be written; it need not exist yet. Raises `BadInput` otherwise; writes nothing."""
-    allowed = "a folder that does not exist yet, or one without a run in it"
-    try:
-        if _holds_run(folder):
-            raise BadInput("--out", str(folder), allowed, "another --out: this folder holds a run already")
-        nearest = folder.absolute()
-        while not _exists(nearest):
-            nearest = nearest.parent
-        if not nearest.is_dir():
-            raise BadInput("--out", str(folder), allowed, f"another --out: {nearest} is no folder")
-        if not os.access(nearest, os.W_OK | os.X_OK):
-            raise BadInput("--out", str(folder), "a folder that can be written", f"another --out, outside {nearest}")
-    except OSError as error:
-        raise BadInput("--out", str(folder), f"{allowed} ({error.strerror})") from error
-    return folder
+def _folder(out: Path | None, base: str, name: str) -> Path:
+    """Where results go: to `out`, or to a folder of `base` that is still free."""
+    from gelbot.record.result_folder import checked_folder, free_folder
 
-
-def _exists(path: Path) -> bool:
-    """Whether something stands at `path`, a broken link too. Raises `OSError` for names that cannot exist."""
-    try:
-        path.lstat()
-    except (FileNotFoundError, NotADirectoryError):
-        return False
-    return True
-
-
-def _holds_run(folder: Path) -> bool:
-    return any(os.path.lexists(folder / mark) for mark in RUN_MARKS)
+    return checked_folder(out) if out is not None else free_folder(Path(base), name)
 
 
 def _print_json(value: object) -> None:

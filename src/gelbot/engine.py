@@ -16,6 +16,8 @@ def prepare_engine() -> None:
     the engine once it has computed something.
     """
     os.environ.setdefault("NPROC", "1")
+    # Libraries that are loaded later read this.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", os.environ["NPROC"])
     threadpool_limits(limits=int(os.environ["NPROC"]), user_api="blas")  # the engine's factorisations go there
     # Setting up is always done in double precision; a scenario's single precision is a choice for the run.
     jax.config.update("jax_enable_x64", True)

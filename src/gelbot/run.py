@@ -20,10 +20,11 @@ from gelbot.control.programme import Playing, begin, play
 from gelbot.engine import prepare_engine
 from gelbot.errors import BadInput, SimulationFailed
 from gelbot.field.lead_field import working_volume
+from gelbot.field.outlines import outlines
 from gelbot.points import observe
 from gelbot.record.run_store import RunStore, open_run
 from gelbot.record.summary import summarise
-from gelbot.scenario.build import Experiment, build
+from gelbot.scenario.build import Experiment, build, disturbed
 from gelbot.scenario.load import Loaded
 from gelbot.show.progress import RunProgress
 from gelbot.simulate import Frame, rollout
@@ -86,14 +87,15 @@ def _simulate(experiment: Experiment, store: RunStore, bar: RunProgress, times: 
     bar.update(0.0, "compiling", low)
     while left > 0:
         count = min(per_chunk, left)
+        model = disturbed(experiment, experiment.model, state.positions)
         if count not in compiled:
             began = clock.perf_counter()
-            compiled[count] = rollout.lower(experiment.model, state, play, memory, dt, count, steps).compile()
+            compiled[count] = rollout.lower(model, state, play, memory, dt, count, steps).compile()
             times["compile_s"] += clock.perf_counter() - began
             if len(compiled) == 1:
                 bar.update(0.0, names[0], low)
         began = clock.perf_counter()
-        state, memory, frames = jax.block_until_ready(compiled[count](experiment.model, state, memory, dt))
+        state, memory, frames = jax.block_until_ready(compiled[count](model, state, memory, dt))
         times["wall_s"] += clock.perf_counter() - began
         good = _good_frames(frames, scenario.simulation.tolerance)
         kept = slice(every - 1, good, every) if good == count else slice(0, good)
@@ -126,14 +128,18 @@ def _failure(frames: Frame, index: int, tolerance: float) -> SimulationFailed:
 def static_part(experiment: Experiment, loaded: Loaded) -> xr.Dataset:
     """What a run's data set holds that does not change with time."""
     scenario, array = experiment.scenario, experiment.array
-    centres = np.vstack([array.centres, np.full(array.count, array.height)])
     rest = np.asarray(experiment.state.positions)
     metre = {"units": "m"}
     return xr.Dataset(
         {
             "rest_position": (("space", "node"), rest, {**metre, "long_name": "node positions at the start"}),
             "faces": (("corner", "face"), experiment.body.faces, {"long_name": "nodes of the surface triangles"}),
-            "electrode_centre": (("space", "electrode"), centres, {**metre, "long_name": "centres of the electrodes"}),
+            "electrode_centre": (("space", "electrode"), array.centres, {**metre, "long_name": "electrodes' middles"}),
+            "electrode_outline": (
+                ("space", "outline_corner", "electrode"),
+                outlines(array),
+                {**metre, "long_name": "corners of the electrodes, after a gap those of a hole"},
+            ),
         },
         coords={"space": ["x", "y", "z"]},
         attrs={
@@ -143,7 +149,7 @@ def static_part(experiment: Experiment, loaded: Loaded) -> xr.Dataset:
             "jax_version": version("jax"),
             "precision": scenario.simulation.precision,
             "phase_names": [phase.name for phase in scenario.programme.phases],
-            "electrode_side": scenario.electrodes.side,
+            "electrode_states": list(scenario.electrodes.states),
             "floor_depth": scenario.tank.floor_depth,
             "thickness": scenario.body.thickness,
             "time_step": scenario.simulation.time_step,
@@ -158,11 +164,13 @@ def static_part(experiment: Experiment, loaded: Loaded) -> xr.Dataset:
 def frames_part(experiment: Experiment, frames: Frame) -> xr.Dataset:
     """Frames as the part of a run's data set that grows along time."""
     seen, command = frames.observation, frames.command
-    current = frames.voltages @ experiment.field.conductance.T
+    taken = frames.voltages @ experiment.connection.T
+    current = taken @ experiment.field.conductance.T
     table: dict[str, tuple[tuple[str, ...], Any, str, str]] = {
         "position": (("space", "node"), frames.positions, "m", "node positions"),
         "adsorption": (("face",), frames.ads, "1", "adsorption state of the surface faces"),
-        "voltage": (("electrode",), frames.voltages, "V", "voltages of the electrodes"),
+        "voltage": (("electrode",), frames.voltages, "V", "voltages asked of the supply, 0 where it is not connected"),
+        "electrode_potential": (("electrode",), taken, "V", "voltages that the electrodes have"),
         "electrode_current": (("electrode",), current, "A", "currents from the electrodes into the tank"),
         "centre": (("space",), seen.centre, "m", "centre of the body"),
         "normal": (("space",), seen.normal, "1", "normal of the body's upper side"),

@@ -41,12 +41,17 @@ class Gel(NamedTuple):
 
 
 class Model(NamedTuple):
-    """All that stays constant during a run."""
+    """All that stays constant during a run.
+
+    `disturbance` [A/m^2/V], shape (f, e): how a gel of another conductivity changes the inflow through its faces, as long
+    as its shape is about what it was when that was computed; None: as the solution.
+    """
 
     gel: Gel
     mechanics: Mechanics
     lead: LeadField
     points: EssentialPoints
+    disturbance: Array | None = None
 
 
 class State(NamedTuple):
@@ -97,7 +102,8 @@ def surface_inflow(model: Model, positions: Array, voltages: Array) -> Array:
     """-i . n [A/m^2] on every surface face, shape (f,): positive where the current enters the gel."""
     centroids, normals = face_geometry(positions, model.gel.faces)
     i = current_density(model.lead, potential_coefficients(model.lead, voltages), centroids)
-    return -jnp.sum(i * normals, axis=0)
+    inflow = -jnp.sum(i * normals, axis=0)
+    return inflow if model.disturbance is None else inflow + model.disturbance @ voltages
 
 
 def rest_lengths(model: Model, ads: Array) -> Array:

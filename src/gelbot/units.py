@@ -22,6 +22,8 @@ KINDS = {
     "S/m": ("a conductivity", "0.15 S/m"),
     "1/s": ("a rate", "20 1/s"),
     "V": ("a voltage", "10 V"),
+    "A": ("a current", "200 mA"),
+    "A/m^2": ("a current density", "10 mA/cm^2"),
     "V/m": ("a voltage per length", "10 V/mm"),
     "V*s/m": ("a voltage per velocity", "0.5 V*s/mm"),
 }

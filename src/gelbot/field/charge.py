@@ -1,134 +1,191 @@
-"""The charge simulation: find the panel charges that give every electrode its voltage.
+"""The charge simulation: find the panel currents that give every electrode its voltage.
 
-With sources q_p [A] on panels p the potential in a solution of conductivity sigma is
+With currents q_p [A] on panels p the potential in a solution of conductivity sigma is
 
-    phi(x) = u + 1/(4 pi sigma) sum_p q_p sum_images w * G(x - x_p)
+    phi(x) = u + 1/(4 pi sigma) sum_p q_p G_p(x)
 
-where G is the panel's closed form and u, the potential of the bulk, floats: an insulated tank lets no current out, so
-that sum_p q_p = 0. Everything is linear in the voltages; one solve for unit voltages gives all that follows.
+where G_p is a panel's potential with all its images and u, the potential of the bulk, floats: an insulated tank lets no
+current out, so that sum_p q_p = 0. On the panels of the electrodes phi, averaged over each panel (Galerkin), is the
+voltage. On those of a body of conductivity s, an insulated backing (s = 0) or the gel, the normal current is
+continuous:
+
+    q_p / 2 = lambda S_p sigma <d phi / d n>_p,    lambda = (sigma - s) / (sigma + s),
+
+S_p the panel's area, <d phi / d n> the mean of both sides. Everything is linear in the voltages; one solve for unit
+voltages gives all that follows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, lu_factor, lu_solve
 
-from gelbot.field.electrodes import ElectrodeArray, Panels, panels_of
-from gelbot.field.images import Tank, images
-from gelbot.field.panel import point_potential, square_potential
+from gelbot.errors import GelbotError
+from gelbot.field.electrodes import ElectrodeArray
+from gelbot.field.images import Tank
+from gelbot.field.influence import mutual_images, mutual_potentials, mutual_slopes, potentials_at, slopes_at
+from gelbot.field.panels import Panels, joined, panels_of
 
-CLOSED_FORM_DISTANCE = 4.0
-"""Beyond this many panel sides a panel's potential is that of a point: a relative error below (1/4)^2 / 12 = 0.5 %."""
+Floats = NDArray[np.float64]
 
-CHUNK = 512
-"""Points that are computed at once: few enough that their table stays in the processor's cache."""
+LIFT = 4.0
+"""Constant added to the potentials, in means of their absolute values."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FieldProblem:
-    """What has to be solved: panels of an array in a tank with a solution of `conductivity` [S/m]."""
+    """What has to be solved: panels of an array in a tank with a solution of `conductivity` [S/m].
+
+    `potentials` (q, q) [V/A]: of unit panel currents, averaged over panels. `slopes` (r, q) [V/(A m)]: the same for the
+    normal slopes on the panels that have no voltage, in their order.
+    """
 
     array: ElectrodeArray
     tank: Tank
     conductivity: float
+    panels_per_side: int
     panels: Panels
-    influence: NDArray[np.float64]
-    """Potential at panel centres per unit panel current [V/A], shape (q, q)."""
+    potentials: Floats
+    slopes: Floats
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FieldSolution:
-    """For a unit voltage on each electrode: panel currents [A/V], (q, e), and bulk potential [V/V], (e,)."""
+    """For a unit voltage on each electrode: panel currents [A/V], (q, e), bulk potential [V/V], (e,), conductance [S].
+
+    The currents that the electrodes feed into the tank are `conductance` @ voltages. `asymmetry` is how far that matrix
+    was from its transpose, relative to its largest element, before it was made symmetric: rounding where all panels
+    conduct, else a measure of the panels' error.
+    """
 
     problem: FieldProblem
-    panel_current: NDArray[np.float64]
-    bulk_potential: NDArray[np.float64]
+    panel_current: Floats
+    bulk_potential: Floats
+    conductance: Floats
+    asymmetry: float
 
-    @property
-    def conductance(self) -> NDArray[np.float64]:
-        """Conductance matrix [S], shape (e, e): currents that the electrodes feed into the tank are C @ voltages."""
-        owner = self.problem.panels.electrode
-        total = np.zeros((self.problem.array.count, self.problem.array.count))
-        np.add.at(total, owner, self.panel_current)
-        return total
-
-    def lead_potential(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def lead_potential(self, points: Floats) -> Floats:
         """Potential [V/V] at `points` [m], shape (3, p), for a unit voltage on each electrode; shape (e, p)."""
-        potentials = [part @ self.panel_current for part in _potentials(self.problem, points)]
-        return np.concatenate(potentials).T + self.bulk_potential[:, None]
+        problem = self.problem
+        potential = potentials_at(points, problem.panels, self.panel_current, problem.tank)
+        return potential.T / (4.0 * np.pi * problem.conductivity) + self.bulk_potential[:, None]
+
+    def lead_current_density(self, points: Floats) -> Floats:
+        """Current density i = -sigma grad phi [A/m^2/V] at `points` [m], shape (3, p); shape (e, 3, p)."""
+        problem = self.problem
+        slope = slopes_at(points, problem.panels, self.panel_current, problem.tank)
+        return -slope.transpose(2, 0, 1) / (4.0 * np.pi)
 
 
-def build_problem(array: ElectrodeArray, tank: Tank, conductivity: float, panels_per_side: int) -> FieldProblem:
-    """Cut the electrodes into panels and compute their influence on each other."""
+class SingularField(GelbotError):
+    """The charges cannot be found: two electrodes are in one place, or an electrode has no size."""
+
+    def __init__(self, names: list[str]) -> None:
+        self.names = names
+        super().__init__(
+            f"the field of these electrodes has no solution: {', '.join(names)}. "
+            "Try: electrodes that do not touch each other, with sizes well above rounding"
+        )
+
+
+def build_problem(
+    array: ElectrodeArray, tank: Tank, conductivity: float, panels_per_side: int, gel: Panels | None = None
+) -> FieldProblem:
+    """Cut the electrodes into panels and compute their influence on each other.
+
+    `gel` holds the panels of the gel's surface where it conducts otherwise than the solution (`gel_panels`).
+    """
     panels = panels_of(array, panels_per_side)
-    empty = FieldProblem(array, tank, conductivity, panels, np.zeros((0, 0)))
-    influence = np.concatenate(list(_potentials(empty, panels.centres)))
-    return FieldProblem(array, tank, conductivity, panels, influence)
+    if gel is not None:
+        panels = joined([panels, gel])
+    factor = 1.0 / (4.0 * np.pi * conductivity)
+    images = mutual_images(panels, tank)
+    potentials = mutual_potentials(panels, images)
+    potentials *= factor
+    passive = np.flatnonzero(~panels.active)
+    slopes = factor * mutual_slopes(panels, passive, images) if len(passive) else np.zeros((0, panels.count))
+    return FieldProblem(array, tank, conductivity, panels_per_side, panels, potentials, slopes)
 
 
 def solve(problem: FieldProblem) -> FieldSolution:
-    """Solve for a unit voltage on each electrode in turn, with zero total current and a floating bulk potential."""
-    q, e = len(problem.panels.electrode), problem.array.count
-    # The influences are scaled to order one, so that the border of ones does not spoil the condition number.
-    scale = float(np.max(problem.influence))
-    bordered = np.ones((q + 1, q + 1))
-    bordered[:q, :q] = problem.influence / scale
-    bordered[q, q] = 0.0
-    unit = np.zeros((q + 1, e))
-    unit[np.arange(q), problem.panels.electrode] = 1.0
-    answer = np.linalg.solve(bordered, unit)
-    return FieldSolution(problem, np.asarray(answer[:q] / scale, float), np.asarray(answer[q], float))
+    """Solve for a unit voltage on each electrode in turn, with zero total current and a floating bulk potential.
+
+    Raises `SingularField` for electrodes that coincide.
+    """
+    if not np.all(np.isfinite(problem.potentials)):
+        raise SingularField([electrode.name for electrode in problem.array.electrodes])
+    return _solve_with_bodies(problem) if len(problem.slopes) else _solve_symmetric(problem)
 
 
-def _potentials(problem: FieldProblem, points: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-    """Potential at `points` (3, p) per unit current of each panel [V/A], images summed; parts of shape (some, q)."""
-    panels, factor = problem.panels, 1.0 / (4.0 * np.pi * problem.conductivity)
-    near: list[NDArray[np.float64]] = []
-    far: list[NDArray[np.float64]] = []
-    weights: tuple[list[float], list[float]] = [], []
-    for image in images(problem.tank):
-        centres = image.sign[:, None] * panels.centres + image.shift[:, None]
-        is_near = _distance_to_solution(problem.tank, centres) < CLOSED_FORM_DISTANCE * panels.side
-        (near if is_near else far).append(centres)
-        weights[0 if is_near else 1].append(image.weight * factor)
-    sources = [np.array(c).reshape(-1, *panels.centres.shape) for c in (near, far)]
-    scales = [np.array(w) for w in weights]
-    for part in np.array_split(points, max(1, points.shape[1] // CHUNK), axis=1):
-        # Parts of one length are compiled once.
-        padded = np.pad(part, ((0, 0), (0, -part.shape[1] % CHUNK)), mode="edge")
-        yield np.asarray(_kernel(padded, *sources, *scales, panels.side))[: part.shape[1]]
+def _solve_symmetric(problem: FieldProblem) -> FieldSolution:
+    """All panels conduct: by Cholesky's factors."""
+    panels, count = problem.panels, problem.array.count
+    # Neutral charges do not feel a constant added to all potentials; it makes the matrix positive definite.
+    lifted = problem.potentials + LIFT * np.abs(problem.potentials).mean()
+    try:
+        factor = cho_factor(lifted, lower=True, overwrite_a=True, check_finite=False)
+    except LinAlgError as error:
+        raise SingularField(_closest(problem.array)) from error
+    ones = np.column_stack([_members(problem), np.ones(panels.count)])
+    answer = cho_solve(factor, ones, check_finite=False)
+    energy = ones.T @ answer
+    energy = (energy + energy.T) / 2.0
+    each, together = energy[:count, count], energy[count, count]
+    bulk = each / together
+    conductance = energy[:count, :count] - np.outer(each, each) / together
+    return FieldSolution(problem, answer[:, :count] - np.outer(answer[:, count], bulk), bulk, conductance, 0.0)
 
 
-def _distance_to_solution(tank: Tank, centres: NDArray[np.float64]) -> float:
-    """Smallest distance [m] of `centres` (3, q) from the solution, which fills the tank: zero for points inside."""
-    half = (np.inf, np.inf) if tank.size is None else (tank.size[0] / 2.0, tank.size[1] / 2.0)
-    low = np.array([-half[0], -half[1], -np.inf if tank.floor is None else tank.floor])
-    high = np.array([half[0], half[1], np.inf if tank.surface is None else tank.surface])
-    outside = np.maximum(low[:, None] - centres, centres - high[:, None]).clip(0.0)
-    return float(np.linalg.norm(outside, axis=0).min())
+def _solve_with_bodies(problem: FieldProblem) -> FieldSolution:
+    """Some panels belong to backings or to the gel: one matrix with a row for each condition."""
+    panels, count = problem.panels, problem.array.count
+    q, passive = panels.count, np.flatnonzero(~panels.active)
+    system = np.zeros((q + 1, q + 1))
+    system[:q, :q] = problem.potentials
+    share = problem.conductivity * (panels.contrast * panels.area)[passive]
+    system[passive, :q] = -share[:, None] * problem.slopes
+    system[passive, passive] += 0.5
+    # Rows of one size, so that the border does not spoil the condition number.
+    scale = np.where(panels.active, 1.0 / np.abs(problem.potentials).max(axis=1), 1.0)
+    system[:q, :q] *= scale[:, None]
+    system[:q, q] = np.where(panels.active, scale, 0.0)
+    system[q, :q] = panels.owner >= 0
+    members = _members(problem)
+    asked = np.vstack([members * np.where(panels.active, scale, 0.0)[:, None], np.zeros((1, count))])
+    try:
+        answer = lu_solve(lu_factor(system, overwrite_a=True, check_finite=False), asked, check_finite=False)
+    except LinAlgError as error:
+        raise SingularField(_closest(problem.array)) from error
+    conductance = members.T @ answer[:q]
+    largest = np.abs(conductance).max()
+    asymmetry = float(np.abs(conductance - conductance.T).max() / largest)
+    return FieldSolution(problem, answer[:q], answer[q], (conductance + conductance.T) / 2.0, asymmetry)
 
 
-@jax.jit
-def _kernel(points: Array, near: Array, far: Array, near_weight: Array, far_weight: Array, side: Array) -> Array:
-    """Weighted sum over near images, in closed form, and far ones (i, 3, q), as points; shape (p, q)."""
+def _members(problem: FieldProblem) -> Floats:
+    """1 where a panel belongs to an electrode, shape (q, e)."""
+    return (problem.panels.owner[:, None] == np.arange(problem.array.count)).astype(float)
 
-    def offset(centres: Array) -> tuple[Array, Array, Array]:
-        x, y, z = (points[k][:, None] - centres[k][None, :] for k in range(3))
-        return x, y, z
 
-    def add_near(total: Array, image: tuple[Array, Array]) -> tuple[Array, None]:
-        return total + image[1] * square_potential(offset(image[0]), side), None
+def _closest(array: ElectrodeArray) -> list[str]:
+    """The names of the two electrodes whose middles are closest, or of the only one."""
+    distance = np.linalg.norm(array.centres[:, :, None] - array.centres[:, None], axis=0)
+    distance[np.diag_indices(array.count)] = np.inf
+    closest = np.unravel_index(int(np.argmin(distance)), distance.shape)
+    return [array.electrodes[int(n)].name for n in dict.fromkeys(closest)]
 
-    def add_far(total: Array, image: tuple[Array, Array]) -> tuple[Array, None]:
-        return total + image[1] * point_potential(offset(image[0])), None
 
-    total = jnp.zeros((points.shape[1], near.shape[2]))
-    total, _ = jax.lax.scan(add_near, total, (near, near_weight))
-    total, _ = jax.lax.scan(add_far, total, (far, far_weight))
-    return total
+def error_estimate(solution: FieldSolution) -> float:
+    """Largest change of the conductance matrix, relative to its largest element, since the panels were halved.
+
+    The error that is left is smaller: it falls with more than the second power of the number of panels along a side.
+    """
+    problem = solution.problem
+    if np.any(problem.panels.owner < 0):
+        raise ValueError("the estimate is made without a gel")
+    coarse = build_problem(problem.array, problem.tank, problem.conductivity, max(2, problem.panels_per_side // 2))
+    change = solve(coarse).conductance - solution.conductance
+    return float(np.abs(change).max() / np.abs(solution.conductance).max())

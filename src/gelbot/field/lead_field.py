@@ -34,13 +34,23 @@ class LeadField(NamedTuple):
 
 
 def build_lead_field(
-    solution: FieldSolution, low: NDArray[np.float64], high: NDArray[np.float64], spacing: float
+    solution: FieldSolution,
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+    spacing: float,
+    connection: NDArray[np.float64] | None = None,
 ) -> LeadField:
-    """Tabulate the potentials of `solution` in the box from `low` to `high` [m], shape (3,) each."""
+    """Tabulate the potentials of `solution` in the box from `low` to `high` [m], shape (3,) each.
+
+    With `connection` T (e, e) they are those of the voltages T v for the voltages v asked for.
+    """
     cells = np.maximum(4, np.ceil((high - low) / spacing - 1e-9)).astype(int)
     axes = [low[k] + spacing * np.arange(cells[k] + 1) for k in range(3)]
     points = np.stack([g.ravel() for g in np.meshgrid(*axes, indexing="ij")])
-    values = solution.lead_potential(points).reshape(-1, *(cells + 1))
+    potentials = solution.lead_potential(points)
+    if connection is not None:
+        potentials = connection.T @ potentials
+    values = potentials.reshape(-1, *(cells + 1))
     for axis in range(3):
         values = np.moveaxis(np.tensordot(_spline_matrix(int(cells[axis]) + 1), values, (1, axis + 1)), 0, axis + 1)
     return LeadField(

@@ -20,25 +20,30 @@ def template(
 ) -> NDArray[np.float64]:
     """The pattern called `name`; `robot` [m], shape (2,): the robot's place, which picks its electrode.
 
-    ridge           Fig. 6(a): -1 on the diagonal through the robot's electrode, +1 elsewhere
-    crossed-ridge   Fig. 6(b): the same with the other diagonal
+    ridge           Fig. 6(a): -1 on the diagonal x = y through the robot's electrode, +1 elsewhere
+    crossed-ridge   Fig. 6(b): the same with the other diagonal, x = -y
     cathode         -1 on the robot's electrode, +1 elsewhere; anode is its negative
-    plus, minus     -1 on the electrodes at larger (smaller) x + y than the robot's, +1 elsewhere
-    uniform         -1 on the first column to +1 on the last: a horizontal field
+    plus, minus     -1 on the electrodes at larger (smaller) x + y than those of the crossed ridge, +1 elsewhere
+    uniform         -1 at the smallest x to +1 at the largest, in proportion: a horizontal field
     off             no voltage
+
+    The robot's electrode is the one nearest to it, seen from above. With dx, dy from there to another electrode and the
+    pitch p, the smallest distance of two, the diagonals have those with |dx - dy| < p/2 and |dx + dy| < p/2.
     """
-    row, column = (g.ravel() for g in np.meshgrid(np.arange(array.rows), np.arange(array.columns), indexing="ij"))
-    home = int(np.argmin(np.linalg.norm(array.centres - robot[:, None], axis=0)))
-    down, right = row - row[home], column - column[home]
+    home = int(np.argmin(np.linalg.norm(array.centres[:2] - robot[:, None], axis=0)))
+    x, y = array.centres[:2]
+    dx, dy = x - x[home], y - y[home]
+    half = array.pitch / 2.0
     if name == "uniform":
-        return np.linspace(-1.0, 1.0, array.columns)[column] if array.columns > 1 else np.zeros(array.count)
+        width = np.ptp(x)
+        return 2.0 * (x - x.min()) / width - 1.0 if width > 0.0 else np.zeros(array.count)
     minus = {
-        "ridge": down == right,
-        "crossed-ridge": down == -right,
-        "cathode": (down == 0) & (right == 0),
-        "anode": (down != 0) | (right != 0),
-        "plus": down + right > 0,
-        "minus": down + right < 0,
+        "ridge": np.abs(dx - dy) < half,
+        "crossed-ridge": np.abs(dx + dy) < half,
+        "cathode": np.arange(array.count) == home,
+        "anode": np.arange(array.count) != home,
+        "plus": dx + dy >= half,
+        "minus": dx + dy <= -half,
     }
     if name == "off":
         return np.zeros(array.count)

@@ -13,7 +13,9 @@ from gelbot.body.lattice import Body, build_body
 from gelbot.body.symmetry import rotation
 from gelbot.control.programme import Phases, Programme
 from gelbot.field.charge import FieldSolution, build_problem, solve
-from gelbot.field.electrodes import ElectrodeArray, square_array
+from gelbot.field.circuit import connection
+from gelbot.field.electrodes import ElectrodeArray
+from gelbot.field.gel import disturbance, gel_panels
 from gelbot.field.images import Tank
 from gelbot.field.lead_field import build_lead_field
 from gelbot.mechanics.implicit import Mechanics
@@ -22,6 +24,7 @@ from gelbot.mechanics.springs import node_springs, spring_stiffness
 from gelbot.plan.templates import template
 from gelbot.plan.trajectory import rise
 from gelbot.points import essential_points
+from gelbot.scenario.placement import mounted
 from gelbot.scenario.schema import Scenario
 from gelbot.simulate import Gel, Model, State, start
 
@@ -41,12 +44,16 @@ LIGHTEST = 0.02
 
 @dataclass(frozen=True)
 class Experiment:
-    """A scenario made ready: `model`, first `state`, `programme`, and what they were made of."""
+    """A scenario made ready: `model`, first `state`, `programme`, and what they were made of.
+
+    `connection`, shape (e, e), takes the voltages asked for to those that the electrodes have (`field.circuit`).
+    """
 
     scenario: Scenario
     body: Body
     array: ElectrodeArray
     field: FieldSolution
+    connection: NDArray[np.float64]
     model: Model
     state: State
     programme: Programme
@@ -55,12 +62,9 @@ class Experiment:
 def build(scenario: Scenario) -> Experiment:
     """Make everything that `scenario` describes; arrays in its precision. Raises `BadInput` for a mesh too coarse."""
     body = build_body(scenario.body.outline(), scenario.body.thickness, scenario.body.mesh_size, scenario.body.layers)
-    electrodes, tank = scenario.electrodes, scenario.tank
-    array = square_array(electrodes.rows, electrodes.columns, electrodes.side, electrodes.space, electrodes.gap)
-    problem = build_problem(
-        array, Tank(-tank.floor_depth, tank.depth, tank.size), scenario.solution.conductivity, electrodes.panels
-    )
-    field = solve(problem)
+    array, panels = electrode_array(scenario), scenario.electrodes.panels_used
+    field = solve(build_problem(array, field_tank(scenario), scenario.solution.conductivity, panels))
+    connected = connection(field.conductance, scenario.electrodes.states)
     dtype = jnp.dtype(scenario.simulation.precision)
 
     def cast(tree):
@@ -68,10 +72,39 @@ def build(scenario: Scenario) -> Experiment:
             lambda a: jnp.asarray(a, dtype if jnp.issubdtype(jnp.result_type(a), jnp.floating) else None), tree
         )
 
-    model = cast(build_model(scenario, body, field))
+    model = cast(build_model(scenario, body, field, connected))
     positions = cast(posed(scenario, body))
     state = start(model, positions)
-    return Experiment(scenario, body, array, field, model, state, cast(build_programme(scenario, array)))
+    programme = cast(build_programme(scenario, array))
+    return Experiment(scenario, body, array, field, connected, model, state, programme)
+
+
+def electrode_array(scenario: Scenario) -> ElectrodeArray:
+    """The electrodes of `scenario`, for the field: a plate in a wall of the tank has no other back."""
+    return mounted(scenario.electrodes.array, scenario.tank)
+
+
+def disturbed(experiment: Experiment, model: Model, positions: jax.Array) -> Model:
+    """`model` with the field as a gel of its own conductivity, now at `positions` (3, n) [m], disturbs it.
+
+    Unchanged where the scenario gives the gel no conductivity.
+    """
+    conductivity, field = experiment.scenario.material.conductivity, experiment.field
+    if conductivity is None:
+        return model
+    faces = experiment.body.faces
+    gel = gel_panels(np.asarray(positions, float), faces, conductivity, field.problem.conductivity)
+    change = disturbance(field, gel) @ experiment.connection
+    return model._replace(disturbance=jnp.asarray(change, positions.dtype))
+
+
+def field_tank(scenario: Scenario) -> Tank:
+    """The boundaries of the solution that let no current through."""
+    tank = scenario.tank
+    floor = None if "floor" in tank.open else -tank.floor_depth
+    x_low, x_high, y_low, y_high = (side not in tank.open for side in ("-x", "+x", "-y", "+y"))
+    surface = None if "surface" in tank.open else tank.depth
+    return Tank(floor, surface, tank.size, (x_low, x_high, y_low, y_high))
 
 
 def posed(scenario: Scenario, body: Body) -> NDArray[np.float64]:
@@ -81,8 +114,8 @@ def posed(scenario: Scenario, body: Body) -> NDArray[np.float64]:
     return np.vstack([flat, body.nodes[2] + pose.lift + CONTACT_LAYER * body.thickness])
 
 
-def build_model(scenario: Scenario, body: Body, field: FieldSolution) -> Model:
-    """The constants of a run."""
+def build_model(scenario: Scenario, body: Body, field: FieldSolution, connected: NDArray[np.float64]) -> Model:
+    """The constants of a run; `connected` see `Experiment.connection`."""
     material = scenario.material
     gel = Gel(
         faces=jnp.asarray(body.faces),
@@ -93,12 +126,22 @@ def build_model(scenario: Scenario, body: Body, field: FieldSolution) -> Model:
         p_l=jnp.asarray(material.p_l),
         adsorption_step=jnp.asarray(material.adsorption_step),
     )
-    place, reach = np.array(scenario.body.pose.position), WORKING_REACH * body.outline.reach
-    ceiling = max(scenario.electrodes.gap - HEADROOM, body.thickness)
-    lead = build_lead_field(
-        field, np.array([*(place - reach), 0.0]), np.array([*(place + reach), ceiling]), GRID_SPACING
-    )
+    low, high = working_box(scenario, body, field.problem.array)
+    lead = build_lead_field(field, low, high, GRID_SPACING, connected)
     return Model(gel, build_mechanics(scenario, body), lead, essential_points(body))
+
+
+def working_box(
+    scenario: Scenario, body: Body, array: ElectrodeArray
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lowest and highest corner [m], shape (3,) each, of the box in which the lead field is tabulated."""
+    place, reach = np.array(scenario.body.pose.position), WORKING_REACH * body.outline.reach
+    top = scenario.body.pose.lift + body.thickness
+    overhead = [low for low in (float(e.bounds[0][2]) for e in array.electrodes) if low > top]
+    # Electrodes beside or below the body do not bound it: it may roll as high as it may roll far.
+    free = min(scenario.tank.depth or np.inf, top + reach)
+    ceiling = max(min(overhead) - HEADROOM if overhead else free, body.thickness)
+    return np.array([*(place - reach), 0.0]), np.array([*(place + reach), ceiling])
 
 
 def build_mechanics(scenario: Scenario, body: Body) -> Mechanics:
@@ -139,6 +182,8 @@ def build_programme(scenario: Scenario, array: ElectrodeArray) -> Programme:
         template(phase.template, array, place) if phase.template is not None else np.array(phase.shares)
         for phase in phases
     ]
+    # What is not connected to the supply has no voltage of its own.
+    driven = np.array(scenario.electrodes.states) == "driven"
     named = [phase.until is not None and phase.until.model_fields_set - {"after"} != set() for phase in phases]
     times, heights = np.array([0.0, 1.0]), np.array([np.nan, np.nan])  # nothing to follow
     low = scenario.body.thickness / 2.0
@@ -148,7 +193,7 @@ def build_programme(scenario: Scenario, array: ElectrodeArray) -> Programme:
     servo = programme.servo
     return Programme(
         phases=Phases(
-            patterns=jnp.asarray(np.array(patterns)),
+            patterns=jnp.asarray(np.array(patterns) * driven),
             amplitudes=jnp.asarray([0.0 if phase.drive == "servo" else phase.drive for phase in phases]),
             uses_servo=jnp.asarray([phase.drive == "servo" for phase in phases]),
             holds=jnp.asarray([np.nan if phase.hold is None else phase.hold for phase in phases]),

@@ -96,13 +96,21 @@ class Dimension(Checked):
 
 
 @dataclass(frozen=True)
-class Pair(Dimension):
-    """Two quantities, in x and y."""
+class Several(Checked):
+    """A list of values, each as `each` says; `counts` of them are allowed."""
 
-    def parse(self, given: object) -> tuple[float, float]:
-        if not isinstance(given, list) or len(given) != 2:
-            raise wrong("", given, f"a list of two values, each {self.allowed}")
-        return super().parse(given[0]), super().parse(given[1])
+    each: Checked
+    counts: tuple[int, ...]
+
+    @property
+    def allowed(self) -> str:
+        words = " or ".join(("one", "two", "three")[count - 1] for count in self.counts)
+        return f"a list of {words} values, each {self.each.allowed}"
+
+    def parse(self, given: object) -> tuple[Any, ...]:
+        if not isinstance(given, list) or len(given) not in self.counts:
+            raise wrong("", given, self.allowed)
+        return tuple(self.each.parse(value) for value in given)
 
 
 @dataclass(frozen=True)
@@ -135,14 +143,39 @@ class Count(Checked):
         return given
 
 
+@dataclass(frozen=True)
+class Names(Checked):
+    """A list of whole numbers and texts."""
+
+    @property
+    def allowed(self) -> str:
+        return "a list of numbers and names of electrodes"
+
+    def parse(self, given: object) -> tuple[int | str, ...]:
+        if not isinstance(given, list) or any(isinstance(g, bool) or not isinstance(g, int | str) for g in given):
+            raise wrong("", given, self.allowed)
+        return tuple(given)
+
+
 Length = Annotated[float, Dimension("m", gt=0)]
 Height = Annotated[float, Dimension("m", ge=0)]
 Coordinate = Annotated[float, Dimension("m")]
-Point = Annotated[tuple[float, float], Pair("m")]
-Size = Annotated[tuple[float, float], Pair("m", gt=0)]
+Point = Annotated[tuple[float, float], Several(Dimension("m"), (2,))]
+Position = Annotated[tuple[float, float, float], Several(Dimension("m"), (3,))]
+Size = Annotated[tuple[float, float], Several(Dimension("m", gt=0), (2,))]
+Sizes = Annotated[tuple[float, ...], Several(Dimension("m", gt=0), (2, 3))]
+NameList = Annotated[tuple[int | str, ...], Names()]
+Direction = Annotated[tuple[float, float, float], Several(Number(), (3,))]
 Angle = Annotated[float, Dimension("rad")]
 Time = Annotated[float, Dimension("s", gt=0)]
 Density = Annotated[float, Dimension("kg/m^3", gt=0)]
+
+
+def written(value: Any) -> Any:
+    """A length or a list of lengths [m] as a scenario writes it, to the last digit; a text as it is."""
+    if isinstance(value, tuple):
+        return [written(part) for part in value]
+    return value if isinstance(value, str) else f"{float(value)!r} m"
 
 
 def check_multiple(key: str, value: float, of: str, base: float, unit: str = "s") -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from gelbot.errors import NOTHING, BadInput
 
 if TYPE_CHECKING:
+    from gelbot.scenario.overrides import Change
     from gelbot.scenario.schema import Scenario
 
 SIZE_MOST = 10_000_000
@@ -50,8 +51,8 @@ def description(name: str) -> str:
 def load(name_or_path: str, overrides: Sequence[str] = ()) -> Loaded:
     """The built-in scenario of this name, or the one in this file, with `overrides` (key=value) applied, checked.
 
-    The text names no other file: an outline from an SVG file stands in it as points. Raises `BadInput` for everything
-    that is wrong with name, file or content.
+    The text names no other file: an outline from an SVG file stands in it as points, electrodes from a file as a list.
+    Raises `BadInput` for everything that is wrong with name, file or content.
     """
     from gelbot.scenario.overrides import override_keys, with_changes, with_overrides
 
@@ -62,12 +63,26 @@ def load(name_or_path: str, overrides: Sequence[str] = ()) -> Loaded:
         data = _parsed(text, name_or_path)
     overridden = override_keys(overrides)
     scenario = _checked(data, name_or_path, folder, overridden)
-    if getattr(scenario.body, "svg", None) is not None:  # the copy in a run folder must stand alone
-        points = [[f"{value!r} m" for value in point] for point in scenario.body.outline().points.tolist()]
-        written_out = {"points": points, "svg": NOTHING, "width": NOTHING}
-        text = with_changes(text, [(["body", key], value) for key, value in written_out.items()])
+    changes = _without_files(scenario)
+    if changes:
+        text = with_changes(text, changes)
         scenario = _checked(_parsed(text, name_or_path), name_or_path, folder, overridden)
     return Loaded(scenario, text, name_or_path)
+
+
+def _without_files(scenario: Scenario) -> list[Change]:
+    """What has to change in a scenario's text to name no file: the copy in a run folder must stand alone."""
+    changes: list[Change] = []
+    if getattr(scenario.body, "svg", None) is not None:
+        points = [[f"{value!r} m" for value in point] for point in scenario.body.outline().points.tolist()]
+        changes += [(["body", "points"], points), (["body", "svg"], NOTHING), (["body", "width"], NOTHING)]
+    if scenario.electrodes.file is not None:
+        from gelbot.scenario.electrode_shapes import SHAPE_KEYS
+
+        replaced = ("file", "gap", "origin", *SHAPE_KEYS)
+        changes += [(["electrodes", key], NOTHING) for key in replaced]
+        changes += [(["electrodes", "layout"], "list"), (["electrodes", "places"], scenario.electrodes.as_list())]
+    return changes
 
 
 def _read(name_or_path: str) -> tuple[str, Path]:

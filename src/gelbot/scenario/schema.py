@@ -11,9 +11,10 @@ from typing import Annotated
 from pydantic import Field, model_validator
 
 from gelbot.scenario.bodies import Body
+from gelbot.scenario.electrodes import Electrodes
 from gelbot.scenario.fields import Table, check_multiple
-from gelbot.scenario.placement import check_heights, check_reach, check_tank, check_voltages
-from gelbot.scenario.tables import Electrodes, Material, Programme, Recording, Simulation, Solution, Supply, Tank
+from gelbot.scenario.placement import check_gel_is_clear, check_reach, check_tank, check_voltages
+from gelbot.scenario.tables import Material, Programme, Recording, Simulation, Solution, Supply, Tank
 
 
 class Scenario(Table):
@@ -38,8 +39,8 @@ class Scenario(Table):
         check_multiple("recording.interval", interval, "programme.control_period", period)
         check_multiple("recording.chunk", self.recording.chunk, "recording.interval", interval)
         check_multiple("simulation.duration", self.simulation.duration, "recording.interval", interval)
-        check_heights(self.body, self.electrodes, self.tank)
         check_tank(self.electrodes, self.tank)
+        check_gel_is_clear(self.body, self.electrodes)
         check_reach(self.body, self.electrodes, self.tank)
         check_voltages(self.programme, self.electrodes, self.supply)
         return self

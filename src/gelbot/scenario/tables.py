@@ -33,7 +33,7 @@ SHARE = Number(ge=-1, le=1)
 class Material(Table):
     """The gel: `young_modulus` [Pa], `density` [kg/m^3], and the constants of Eqs. (2), (3) and (6).
 
-    `p_ele` [m^2/A] and `p_ads` per `adsorption_step` [s].
+    `p_ele` [m^2/A] and `p_ads` per `adsorption_step` [s]. `conductivity` [S/m]; None: it does not disturb the field.
     """
 
     young_modulus: Annotated[float, Dimension("Pa", gt=0)]
@@ -42,6 +42,7 @@ class Material(Table):
     adsorption_step: Time
     p_ads: Annotated[float, Number(gt=0, le=1)]
     p_l: Annotated[float, Number(ge=0, lt=1)]
+    conductivity: Annotated[float, Dimension("S/m", gt=0)] | None = None
 
 
 class Solution(Table):
@@ -52,48 +53,32 @@ class Solution(Table):
     drag: Annotated[float, Dimension("1/s", ge=0)]
 
 
-class Electrodes(Table):
-    """The array: square plates of `side` [m], `space` [m] between them, in the plane z = `gap` [m]."""
-
-    rows: Annotated[int, Count(ge=1, le=64)]
-    columns: Annotated[int, Count(ge=1, le=64)]
-    side: Length
-    space: Length
-    gap: Length
-    panels: Annotated[int, Count(ge=1, le=64)]
-
-    @property
-    def count(self) -> int:
-        return self.rows * self.columns
-
-    @property
-    def half_extent(self) -> tuple[float, float]:
-        """Half the size of the array, outer edge to outer edge, in x and y [m]."""
-        pitch = self.side + self.space
-        return ((self.columns - 1) * pitch + self.side) / 2.0, ((self.rows - 1) * pitch + self.side) / 2.0
-
-    @model_validator(mode="after")
-    def _can_be_solved(self) -> Electrodes:
-        total = self.count * self.panels**2
-        if total > 10_000:
-            allowed = "rows * columns * panels^2 of at most 10000: the charges are solved with a dense matrix"
-            raise wrong("panels", f"{self.panels}, that is {total} panels in all", allowed)
-        return self
-
-
 class Tank(Table):
-    """The tank: lengths in m; `depth` None is deep, `size` None is wide; Coulomb `friction` of the floor."""
+    """The tank: lengths in m; `depth` None is deep, `size` None is wide; Coulomb `friction` of the floor.
+
+    Its boundaries insulate, but for those in `open`, beyond which the solution goes on.
+    """
 
     floor_depth: Height
     depth: Length | None = None
     size: Size | None = None
+    open: tuple[Literal["floor", "surface", "-x", "+x", "-y", "+y"], ...] = ()
     friction: Annotated[float, Number(ge=0)]
+
+    @model_validator(mode="after")
+    def _has_what_is_open(self) -> Tank:
+        for side in self.open:
+            missing = "size" if side[0] in "+-" and self.size is None else "depth" if side == "surface" else None
+            if missing and getattr(self, missing) is None:
+                raise wrong("open", side, f"a boundary that the tank has: without {missing} it has none there")
+        return self
 
 
 class Supply(Table):
-    """The supply: the largest voltage `limit` [V] it gives, either way."""
+    """The supply: the largest voltage `limit` [V], either way, and sum of positive currents `current_limit` [A]."""
 
     limit: Annotated[float, Dimension("V", gt=0)]
+    current_limit: Annotated[float, Dimension("A", gt=0)] | None = None
 
 
 class Reference(Table):

@@ -1,7 +1,7 @@
 """One moment of a run in space: floor, body and electrodes.
 
-Drawn in this order: floor, shadow, body, electrodes. Only the last three change from moment to moment, so that a movie
-draws everything else once.
+Drawn in this order: floor, electrodes in the floor and behind the body, shadow, body, all other electrodes. All but the
+floor change from moment to moment, so that a movie draws the rest once.
 """
 
 from __future__ import annotations
@@ -19,13 +19,15 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from numpy.typing import NDArray
 
+from gelbot.show.outlines import Outline, electrode_outlines
+from gelbot.show.plates import DrawnPlates, in_view
 from gelbot.show.style import ADSORPTION_MAP, FAINT, INK, VOLTAGE_MAP, Place
 
 MM = 1e3
 ELEVATION = 14.0
 """Height of the camera [deg]: low enough to see under the electrodes, high enough to see the floor."""
-SLIVER = 0.15
-"""A plate of which less than this share of its side lies in the picture is left out."""
+ROOM = 0.55
+"""How high the axes may be, as a share of their breadth, before they have to be drawn smaller."""
 AMBIENT = 0.6
 """Brightness of a face that the light does not reach, as a share of the brightest."""
 
@@ -34,8 +36,8 @@ AMBIENT = 0.6
 class Scene:
     """A run's data for drawing, lengths in mm; read once, time first.
 
-    `position` (t, 3, n), `faces` (3, f), `adsorption` (t, f), `voltage` (t, e), `centre` and `normal` (t, 3),
-    `electrodes` (3, e) centres, `side`, `limit` [V].
+    `position` (t, 3, n), `faces` (3, f), `adsorption` (t, f), `voltage` (t, e) that the electrodes have, `centre` and
+    `normal` (t, 3), `electrodes` as outlines, `limit` [V], `breadth` of the body.
     """
 
     position: NDArray[np.float64]
@@ -44,8 +46,7 @@ class Scene:
     voltage: NDArray[np.float64]
     centre: NDArray[np.float64]
     normal: NDArray[np.float64]
-    electrodes: NDArray[np.float64]
-    side: float
+    electrodes: list[Outline]
     limit: float
     breadth: float
 
@@ -53,15 +54,15 @@ class Scene:
     def of(run: xr.Dataset) -> Scene:
         """Read the arrays of `run` into memory."""
         rest = run["rest_position"].transpose("space", "node").values * MM
+        taken = "electrode_potential"
         return Scene(
             position=run["position"].transpose("time", "space", "node").values * MM,
             faces=run["faces"].transpose("corner", "face").values,
             adsorption=run["adsorption"].transpose("time", "face").values,
-            voltage=run["voltage"].transpose("time", "electrode").values,
+            voltage=run[taken if taken in run else "voltage"].transpose("time", "electrode").values,
             centre=run["centre"].transpose("time", "space").values * MM,
             normal=run["normal"].transpose("time", "space").values,
-            electrodes=run["electrode_centre"].transpose("space", "electrode").values * MM,
-            side=float(run.attrs["electrode_side"]) * MM,
+            electrodes=[Outline(o.corners * MM, o.hole * MM) for o in electrode_outlines(run)],
             limit=float(run.attrs["limit"]),
             breadth=float(np.ptp(rest[:2], axis=1).max()),
         )
@@ -103,12 +104,16 @@ class GelView:
         self._light = _direction(scene.azimuth - 40.0, 50.0)
         self._ads_colours = ADSORPTION_MAP(np.linspace(0.0, 1.0, 256))
 
-        squares, self._visible = _clipped_squares(scene, (x, y), (1.5 if labels else 1.35) * half)
+        reach = (1.5 if labels else 1.35) * half
+        # Above the body at its start, an electrode is before it, whichever way the camera looks.
+        top = float(scene.position[0, 2].max())
+        self._before, self._behind = in_view(scene.electrodes, np.array([x, y]), reach, self._towards_camera, top)
         self._shadow = Poly3DCollection([], facecolors="#d3d3d3", edgecolors="#d3d3d3", linewidths=0.3, zorder=2)
         self._gel = Poly3DCollection([], linewidths=0.3, zorder=3)
         self._arrow = Line3DCollection([], colors=INK, linewidths=1.2, zorder=4)
-        self._plates = Poly3DCollection(squares, edgecolors=INK, linewidths=0.8, zorder=5)
-        self.moving = (self._shadow, self._gel, self._arrow, self._plates)
+        self._plates = DrawnPlates(self._before, zorder=5.0)
+        self._far_plates = DrawnPlates(self._behind, zorder=1.5)
+        self.moving = (*self._far_plates.artists, self._shadow, self._gel, self._arrow, *self._plates.artists)
         for artist in self.moving:
             self.axes.add_collection3d(artist, autolim=False)
         # The axes themselves are a square in the middle of the area; the picture fills all of it.
@@ -141,7 +146,8 @@ class GelView:
 
         colour = VOLTAGE_MAP(Normalize(-scene.limit, scene.limit)(scene.voltage[k]))
         colour[:, 3] = 0.6
-        self._plates.set_facecolor(colour[self._visible])
+        self._plates.paint(colour)
+        self._far_plates.paint(colour)
 
     def draw_moving(self, renderer) -> None:
         """Draw what has moved on top of a picture of the rest; the figure must have been drawn once before."""
@@ -151,11 +157,14 @@ class GelView:
 
     def _frame(self, labels: bool) -> None:
         axes, low, high = self.axes, self._low, self._high
-        top = 1.08 * float(self.scene.electrodes[2].max())
+        highest = max(float(outline.corners[2].max()) for outline in self.scene.electrodes)
+        top = 1.08 * max(highest, 0.5 * self.scene.breadth)
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[1], high[1])
         axes.set_zlim(0.0, top)
-        zoom: Any = 1.5 if labels else 1.6  # annotated as int in matplotlib, where it is any number
+        # The axes' box fills the picture's height; one that is too tall is made smaller.
+        fits = _screen_height(ROOM) / max(_screen_height(top / (high[0] - low[0])), _screen_height(ROOM))
+        zoom: Any = (1.5 if labels else 1.6) * fits  # annotated as int in matplotlib, where it is any number
         axes.set_box_aspect((high[0] - low[0], high[1] - low[1], top), zoom=zoom)
         axes.view_init(elev=ELEVATION, azim=self.scene.azimuth)
         axes.set_proj_type("ortho")
@@ -182,25 +191,16 @@ class GelView:
         axes.add_collection3d(Line3DCollection(lines, colors="#dcdcd6", linewidths=0.6, zorder=1))
 
 
+def _screen_height(ratio: float) -> float:
+    """How high a box of height `ratio` and breadth 1 stands on the screen, as a share of its diagonal."""
+    e = np.radians(ELEVATION)
+    return (ratio * np.cos(e) + np.sqrt(2.0) * np.sin(e)) / np.sqrt(2.0 + ratio**2)
+
+
 def _direction(azimuth: float, elevation: float) -> NDArray[np.float64]:
     """The unit vector towards `azimuth`, `elevation` [deg], shape (3,)."""
     a, e = np.radians([azimuth, elevation])
     return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-
-
-def _clipped_squares(
-    scene: Scene, middle: tuple[float, float], half: float
-) -> tuple[list[NDArray[np.float64]], NDArray[np.int64]]:
-    """The parts of the plates inside a square window, shape (4, 3) each, and the numbers of their electrodes."""
-    around = np.array(middle)[:, None]
-    start = np.maximum(scene.electrodes[:2] - scene.side / 2.0, around - half)
-    end = np.minimum(scene.electrodes[:2] + scene.side / 2.0, around + half)
-    visible = np.flatnonzero(np.all(end - start > SLIVER * scene.side, axis=0))
-    squares = []
-    for e in visible:
-        (x0, y0), (x1, y1), z = start[:, e], end[:, e], scene.electrodes[2, e]
-        squares.append(np.array([(x0, y0, z), (x1, y0, z), (x1, y1, z), (x0, y1, z)]))
-    return squares, visible
 
 
 def _round_marks(low: float, high: float, step: float) -> NDArray[np.float64]:

@@ -47,10 +47,10 @@ def new_figure(width: float, height: float, dpi: float) -> Figure:
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write `figure` to the PNG file `path` in one indivisible step."""
-    draft = path.with_name(f".{path.stem}.part.png")
+    """Write `figure` to `path`, a file of the kind that its name ends with (.png, .pdf), in one indivisible step."""
+    draft = path.with_name(f".{path.stem}.part{path.suffix}")
     try:
-        figure.savefig(draft, format="png")
+        figure.savefig(draft, format=path.suffix[1:])
         draft.replace(path)
     finally:
         draft.unlink(missing_ok=True)

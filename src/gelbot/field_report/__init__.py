@@ -1,0 +1,1 @@
+"""The field of a scenario, from a checked scenario to a folder of numbers, files and pictures."""

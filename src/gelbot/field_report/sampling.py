@@ -1,0 +1,78 @@
+"""Where the field is sampled for a picture: a regular grid on a plane, over all electrodes and the body."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelbot.field.electrodes import ElectrodeArray
+from gelbot.field.images import Tank
+from gelbot.field.operating_point import OperatingPoint
+from gelbot.field_report.asked import Plane
+
+Floats = NDArray[np.float64]
+
+POINTS_MOST = 15_000
+"""Points of a grid, about: some 0.4 mm apart under the array of the paper."""
+FEWEST = 24
+"""Points of a grid in each direction, at least."""
+MARGIN = 0.12
+"""Room around electrodes and body, as a share of their breadth."""
+AT_ONCE = 2_000
+"""Points that are computed at once, which bounds the memory that they take."""
+
+
+class Sampled(NamedTuple):
+    """The field on a `plane`: coordinates `right` (u,) and `up` (v,) [m] of its grid along its two axes (`across`).
+
+    `potential` (v, u) [V]; `current_density` (3, v, u) [A/m^2].
+    """
+
+    plane: Plane
+    right: Floats
+    up: Floats
+    potential: Floats
+    current_density: Floats
+
+
+def view(array: ElectrodeArray, body: Floats, tank: Tank) -> tuple[Floats, Floats]:
+    """The lowest and the highest corner [m], shape (3,) each, of what pictures show; `body` (3, n): the gel's nodes."""
+    low = np.min([*(electrode.bounds[0] for electrode in array.electrodes), body.min(axis=1)], axis=0)
+    high = np.max([*(electrode.bounds[1] for electrode in array.electrodes), body.max(axis=1)], axis=0)
+    room = MARGIN * (high - low)[:2].max()
+    low, high = low - room, high + room
+    for axis, (least, most) in enumerate(tank.planes):
+        # Floor and surface are always in the picture, walls where they are near.
+        low[axis] = low[axis] if least is None else least if axis == 2 else max(low[axis], least)
+        high[axis] = high[axis] if most is None else most if axis == 2 else min(high[axis], most)
+    return low, high
+
+
+def grid(plane: Plane, low: Floats, high: Floats) -> tuple[Floats, Floats, Floats]:
+    """Coordinates to the right (u,) and upwards (v,) [m], and all points (3, v * u) of the plane's grid."""
+    right, up = (axis for axis in range(3) if axis != plane.axis)
+    width, height = high[right] - low[right], high[up] - low[up]
+    spacing = np.sqrt(width * height / POINTS_MOST)
+    count = [int(np.clip(length / spacing, FEWEST, POINTS_MOST / FEWEST)) for length in (width, height)]
+    u, v = np.linspace(low[right], high[right], count[0]), np.linspace(low[up], high[up], count[1])
+    points = np.empty((3, len(v), len(u)))
+    points[plane.axis], points[right], points[up] = plane.value, u, v[:, None]
+    return u, v, points.reshape(3, -1)
+
+
+def sample(point: OperatingPoint, plane: Plane, low: Floats, high: Floats) -> Sampled:
+    """The field on a grid over the part of `plane` that lies between `low` and `high` [m], (3,)."""
+    u, v, points = grid(plane, low, high)
+    potential, density = field_at(point, points)
+    return Sampled(plane, u, v, potential.reshape(len(v), len(u)), density.reshape(3, len(v), len(u)))
+
+
+def field_at(point: OperatingPoint, points: Floats) -> tuple[Floats, Floats]:
+    """Potential (p,) [V] and current density (3, p) [A/m^2] at `points` (3, p) [m]."""
+    parts = [points[:, start : start + AT_ONCE] for start in range(0, points.shape[1], AT_ONCE)]
+    return (
+        np.concatenate([point.potential(part) for part in parts]),
+        np.concatenate([point.current_density(part) for part in parts], axis=1),
+    )

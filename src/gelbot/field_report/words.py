@@ -1,0 +1,114 @@
+"""The field in plain numbers, and what is said of numbers that need a second look: the content of field.json."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+
+from gelbot import __version__
+from gelbot.field.gel_effect import GelEffect
+from gelbot.field.operating_point import BUBBLING, CURRENT, ERROR, PANELS, VOLTAGE, Excess, OperatingPoint
+from gelbot.field_report.asked import Drive
+from gelbot.field_report.moment import Moment
+from gelbot.scenario.schema import Scenario
+
+NAMED = 4
+"""So many electrodes a message names, the worst; of the rest it gives the number."""
+FLAT_LIST = re.compile(r"\[\n\s+([^\[\]{}]*?)\n\s*\]")
+
+
+def numbers(
+    scenario: Scenario,
+    point: OperatingPoint,
+    drive: Drive,
+    moment: Moment,
+    found: list[Excess],
+    error: float | None,
+) -> dict[str, Any]:
+    """Plain numbers with their unit in the name; lists have one entry for each electrode."""
+    problem = point.solution.problem
+    names = [electrode.name for electrode in problem.array.electrodes]
+    return {
+        "scenario": scenario.name,
+        "drive": drive.source,
+        "body": moment.source,
+        "names": names,
+        "states": list(point.states),
+        "voltages_V": point.asked.tolist(),
+        "electrode_voltages_V": point.voltages.tolist(),
+        "currents_A": point.currents.tolist(),
+        "mean_current_density_A_m2": point.mean_density.tolist(),
+        "total_current_A": point.total_current,
+        "net_current_A": point.net_current,
+        "power_W": point.power,
+        "bulk_potential_V": point.bulk_potential,
+        "conductance_S": point.solution.conductance.tolist(),
+        "conductivity_S_m": problem.conductivity,
+        "error_estimate": error,
+        "asymmetry": point.solution.asymmetry,
+        "panels": problem.panels.count,
+        "panels_per_side": problem.panels_per_side,
+        "warnings": [
+            {
+                "kind": excess.kind,
+                "message": message(excess, names),
+                "value": excess.value,
+                "threshold": excess.threshold,
+                "electrodes": list(excess.electrodes),
+            }
+            for excess in found
+        ],
+        "gel": None,
+        "planes": [],
+        "version": __version__,
+    }
+
+
+def gel_numbers(effect: GelEffect, conductivity: float) -> dict[str, Any]:
+    """What a gel of `conductivity` [S/m] changes; lists have one entry for each face of the gel."""
+    return {
+        "conductivity_S_m": conductivity,
+        "relative_change_rms": effect.rms_change,
+        "relative_change_max": effect.largest_change,
+        "conductance_change": effect.conductance_change,
+        "inflow_A_m2": effect.inflow.tolist(),
+        "inflow_without_A_m2": effect.without.tolist(),
+    }
+
+
+def message(excess: Excess, names: list[str]) -> str:
+    """What an excess means, with its numbers and what to do."""
+    value, threshold, who = excess.value, excess.threshold, _named(excess, names)
+    if excess.kind == VOLTAGE:
+        return f"{who}: {value:.4g} V asked, the supply gives {threshold:.4g} V either way (supply.limit)"
+    if excess.kind == CURRENT:
+        return f"{value:.4g} A in all, the supply gives {threshold:.4g} A (supply.current_limit)"
+    if excess.kind == BUBBLING:
+        return (
+            f"{who}: a mean of up to {value / 10.0:.3g} mA/cm^2, gas is to be expected from {threshold / 10.0:.3g} "
+            "mA/cm^2 on (electrodes.bubbling)"
+        )
+    if excess.kind == PANELS:
+        return (
+            f"{who}: a panel's width is {value:.2g} of its distance to the gel, which sees single panels from "
+            f"{threshold:.2g} on. Try: more electrodes.panels"
+        )
+    if excess.kind == ERROR:
+        return (
+            f"the conductances change by {value * 100.0:.2g} % between half the panels and all, more than "
+            f"{threshold * 100.0:.2g} %. Try: more electrodes.panels"
+        )
+    raise ValueError(excess.kind)
+
+
+def _named(excess: Excess, names: list[str]) -> str:
+    worst = [names[n] for n in excess.electrodes[:NAMED]]
+    more = len(excess.electrodes) - len(worst)
+    return ", ".join(worst) + (f" and {more} more" if more else "")
+
+
+def as_text(value: dict[str, Any]) -> str:
+    """`value` as JSON, lists of plain values on one line each."""
+    text = json.dumps(value, indent=2)
+    return FLAT_LIST.sub(lambda found: "[" + re.sub(r",\n\s+", ", ", found[1]) + "]", text) + "\n"
