@@ -70,7 +70,8 @@ def faces(mesh: MeshHex, box: Box) -> NDArray[np.int_]:
 def rounded(mesh: MeshHex, middle: tuple[float, float], radius: float, reach: float) -> MeshHex:
     """`mesh` with the upright square of half-width `radius` [m] about `middle` [m] drawn in to a cylinder.
 
-    Squares about the middle become circles there and stay squares from the half-width `reach` [m] on.
+    Squares about the middle become circles there and stay squares from the half-width `reach` [m] on. Elements have
+    straight edges with their corners on the circle: the angle between corners should be below about 0.3.
     """
     offset = mesh.p[:2] - np.reshape(middle, (2, 1))
     square = np.max(np.abs(offset), axis=0)

@@ -426,6 +426,13 @@ class TestSvg:
         assert np.ptp(outline.points, axis=0) == pytest.approx([10 * MM, 20 * MM])
         assert (outline.points[:, 1] > 0.0).sum() == 1
 
+    def test_a_turned_shape_is_turned(self, tmp_path):
+        """A rectangle 10 x 4, turned by 30 deg, is 10 cos 30 + 4 sin 30 wide."""
+        turned = '<rect x="5" y="8" width="10" height="4" transform="rotate(30 10 10)"/>'
+        width = (10.0 * np.sqrt(3.0) / 2.0 + 4.0 / 2.0) * MM
+        outline = outline_from_svg(self.write(tmp_path, turned), width, 1 * MM)
+        assert outline.area == pytest.approx(40 * MM**2)
+
     def test_no_closed_path(self, tmp_path):
         with pytest.raises(BadInput, match="closed path"):
             outline_from_svg(self.write(tmp_path, '<path d="M 0 0 L 10 0 L 10 10"/>'), 10 * MM, 1 * MM)

@@ -32,7 +32,7 @@ from gelbot.field.images import Tank
 
 MM = 1e-3
 SIGMA = 0.19
-PANELS = 10
+PANELS = 12
 FLOOR, LID = -1.0, 30.0  # mm
 ODD_IN_X = np.array([-1.0, 1.0, -1.0, 1.0])  # voltages of 2 x 2 plates: the plane x = 0 has 0 V, y = 0 is a wall
 ODD_IN_BOTH = np.array([1.0, -1.0, -1.0, 1.0])
@@ -99,7 +99,9 @@ class TestSquareArrays:
     | smallest [mm] | 0.2 | 0.1 | 0.05 | 0.025 | 0.0125 | limit | as here | panels = 10 | 16 |
     |---|---|---|---|---|---|---|---|---|---|
     | odd in x | 7.7491 | 7.7363 | 7.7303 | 7.7269 | 7.7252 | 7.723 | 7.736 | 7.7146 | 7.7211 |
-    | odd in both | 10.0541 | 10.0332 | 10.0233 | 10.0178 | 10.0151 | 10.012 | 10.029 | 9.9981 | 10.0085 |
+    | odd in both | 10.0541 | 10.0332 | 10.0233 | 10.0178 | 10.0151 | 10.012 | 10.032 | 9.9981 | 10.0085 |
+
+    Below the plates the density as here differs from that with 0.0125 mm by 0.12 % and 0.16 %, rms.
     """
 
     @pytest.mark.parametrize("pattern", [ODD_IN_X, ODD_IN_BOTH], ids=["odd-in-x", "odd-in-both"])
@@ -124,7 +126,7 @@ class TestSquareArrays:
         """The diagonal is the sum of a part even in x and y and a part odd in both: two quarters of the tank."""
         ridge = np.where(np.eye(4) > 0, -10.0, 10.0)
         even, odd = (ridge + ridge[:, ::-1]) / 2.0, (ridge - ridge[:, ::-1]) / 2.0
-        x = mm_axis([0, 7.5, 17.5, 32.5, 42.5, 65], {7.5: 0.05, 17.5: 0.05, 32.5: 0.2, 42.5: 0.2}, 4.0)
+        x = mm_axis([0, 7.5, 17.5, 32.5, 42.5, 65], {7.5: 0.05, 17.5: 0.05, 32.5: 0.2, 42.5: 0.2}, 5.0)
         mesh = tank_mesh(x, x, mm_axis([FLOOR, 0, 3, 15, LID], {15: 0.05}, 4.0))
         plates = [faces(mesh, mm_box(a, b, 15, a + 10, b + 10, 15)) for b in (7.5, 32.5) for a in (7.5, 32.5)]
         elements = assemble(mesh, SIGMA)
@@ -146,7 +148,7 @@ class TestSquareArrays:
 def test_plate_in_the_lid_and_a_rod() -> None:
     """A plate flush in the lid, and a rod of 3 mm diameter that hangs free from z = 2 to 12 mm; the half y > 0.
 
-    Smallest elements 0.2, 0.1, 0.05, 0.025 mm (at the rod twice that): 5.232, 5.222, 5.222, 5.220 mS.
+    Smallest elements 0.2, 0.1, 0.05, 0.025 mm (at the rod twice that): 5.232, 5.222, 5.222, 5.220 mA for 1 V and -1 V.
     """
     x_sizes = {-13.0: 0.1, -3.0: 0.1, 8.5: 0.2, 10.0: 0.2, 11.5: 0.2}
     x = mm_axis([-20, -13, -3, 8.5, 10, 11.5, 20], x_sizes)
@@ -170,7 +172,7 @@ def test_plate_in_the_lid_and_a_rod() -> None:
 @pytest.mark.parametrize("ratio", [0.3, 3.0])
 def test_gel_of_another_conductivity(ratio: float) -> None:
     """A block of 15 x 15 x 1 mm on z = 0, below the middle of 2 x 2 plates."""
-    x = mm_axis([0, 7.5, 17.5, 30], {7.5: 0.05, 17.5: 0.05})
+    x = mm_axis([0, 1.25, 2.5, 3.75, 5, 6, 7.5, 17.5, 30], {7.5: 0.05, 17.5: 0.05})
     mesh = tank_mesh(x, x, mm_axis([FLOOR, 0, 1, 2, 15, LID], {0.0: 0.1, 1.0: 0.1, 15: 0.05}))
     gel = mm_box(0, 0, 0, 7.5, 7.5, 1)
     middles = mesh.p[:, mesh.t].mean(axis=1)
@@ -187,20 +189,21 @@ def test_gel_of_another_conductivity(ratio: float) -> None:
 
     # What enters the lower face, away from its rim, where the density grows without bound.
     centres = body.nodes[:, body.faces].mean(axis=1)
-    middle = mm_box(0, 0, 0, 6, 6, 0).holds(centres)
+    middle = mm_box(0, 0, 0, 5, 5, 0).holds(centres)
     found = (gel_inflow(solution) @ ODD_IN_X)[middle]
     points, density = answer.density_up(mm_box(0, 0, 0, 7.5, 7.5, 0))
     truth = griddata(points[:2].T, density, centres[:2, middle].T)
     inside = np.isfinite(truth)  # the others are closer to a plane of symmetry than any of `points`
     assert inside.sum() > 40
-    assert np.linalg.norm((found - truth)[inside]) < 0.02 * np.linalg.norm(truth[inside])
+    assert np.linalg.norm((found - truth)[inside]) < 0.01 * np.linalg.norm(truth[inside])
 
 
 @pytest.mark.slow
 def test_insulated_backs() -> None:
     """Plates that face down, 1 mm of insulator above them: a weaker field below than that of bare plates.
 
-    Smallest elements 0.04, 0.01, 0.0025, 0.0006 mm: 5.988, 5.950, 5.935, 5.929 mS a plate; limit 5.925.
+    Smallest elements 0.04, 0.01, 0.0025, 0.0006 mm: 5.988, 5.950, 5.935, 5.929 mA/V a plate; limit 5.925. At an edge
+    between conductor and insulator the density goes like distance^(-2/3), which is hard for both methods.
     """
     x = mm_axis([0, 7.5, 17.5, 30], {7.5: 0.01, 17.5: 0.01})
     back = mm_box(7.5, 7.5, 15, 17.5, 17.5, 16)
@@ -212,5 +215,5 @@ def test_insulated_backs() -> None:
     bare = square_array(2, 2, 10 * MM, 15 * MM, 15 * MM)
     backed = ElectrodeArray(tuple(replace(electrode, backing=1 * MM) for electrode in bare.electrodes))
     solution = solve(build_problem(backed, closed_tank(60, 60), SIGMA, PANELS))
-    assert (solution.conductance @ ODD_IN_X)[3] == pytest.approx(answer.currents[0], rel=0.03)
-    assert worst(solution, ODD_IN_X, *answer.current_density(mm_box(0, 0, FLOOR, 10, 10, 3))) < 0.025
+    assert (solution.conductance @ ODD_IN_X)[3] == pytest.approx(answer.currents[0], rel=0.02)
+    assert worst(solution, ODD_IN_X, *answer.current_density(mm_box(0, 0, FLOOR, 10, 10, 3))) < 0.015

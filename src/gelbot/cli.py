@@ -86,7 +86,7 @@ def run(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Change one value, such as body.thickness='1 mm'. Repeatable."),
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Folder for the results. [default: runs/NAME]")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for the results. (default: runs/NAME)")] = None,
     movie: Annotated[bool, typer.Option("--movie/--no-movie", help="Make the movie.")] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON, and nothing else.")] = False,
 ) -> None:
@@ -129,14 +129,14 @@ def field(
     template: Annotated[str | None, typer.Option(help="A template of voltages, such as ridge.")] = None,
     amplitude: Annotated[
         str | None,
-        typer.Option(help='What a template or a pattern is multiplied by, such as "5 V". [default: supply.limit]'),
+        typer.Option(help='What a template or a pattern is multiplied by, such as "5 V". (default: supply.limit)'),
     ] = None,
     planes: Annotated[
         list[str] | None,
         typer.Option(
             "--plane",
             metavar="AXIS=PLACE",
-            help="A plane to draw, such as z=1mm. Repeatable. [default: a section and a view from above of the gel]",
+            help="A plane to draw, such as z=1mm. Repeatable. (default: a section and a view from above of the gel)",
         ),
     ] = None,
     points: Annotated[
@@ -148,14 +148,14 @@ def field(
     run: Annotated[
         Path | None, typer.Option(help="Take the gel's shape, and the voltages, from this run's folder.")
     ] = None,
-    time: Annotated[str | None, typer.Option(help='When in the run, such as "40 s". [default: its end]')] = None,
+    time: Annotated[str | None, typer.Option(help='When in the run, such as "40 s". (default: its end)')] = None,
     changes: Annotated[
         list[str] | None,
         typer.Option(
             "--set", metavar="KEY=VALUE", help="Change one value, such as electrodes.gap='12 mm'. Repeatable."
         ),
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Folder for the results. [default: fields/NAME]")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for the results. (default: fields/NAME)")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print field.json, and nothing else.")] = False,
 ) -> None:
     """Compute the electric field of a scenario: currents, maps of potential and current density, values at points."""

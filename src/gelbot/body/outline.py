@@ -129,7 +129,7 @@ def outline_from_svg(path: Path, width: float, chord: float, where: str = "body.
         elements = list(SVG.parse(str(path)).elements())
     except Exception as error:  # svgelements raises whatever its XML parser raises
         raise BadInput(where, str(path), f"a readable SVG file ({error})") from error
-    paths = [SvgPath(e) for e in elements if isinstance(e, Shape)]
+    paths = [abs(SvgPath(e)) for e in elements if isinstance(e, Shape)]  # abs: with turns and scales carried out
     closed = [p for p in paths if any(isinstance(s, Close) for s in p)]
     if not closed:
         raise BadInput(where, str(path), "an SVG file with at least one closed path", "end the path with Z")

@@ -13,8 +13,9 @@ from scipy.spatial import cKDTree
 
 from gelbot.field.charge import FieldProblem, FieldSolution
 from gelbot.field.circuit import connection, power
-from gelbot.field.electrodes import THIN
+from gelbot.field.electrodes import THIN, Block, Disc, Electrode, ElectrodeArray, Rectangle, Ring, Rod, Shape
 from gelbot.field.gel import GEL
+from gelbot.field.images import Tank
 from gelbot.field.influence import potentials_at, slopes_at
 from gelbot.field.winding import inside
 
@@ -27,7 +28,7 @@ COARSE = 0.5
 INACCURATE = 0.01
 """Largest error of the field that goes without a word."""
 IN_PLANE = 1e-9
-"""A corner nearer than this [m] to a boundary of the tank lies in it."""
+"""A plate nearer than this [m] to a boundary of the tank lies in it."""
 
 VOLTAGE, CURRENT, BUBBLING, PANELS, ERROR = "voltage", "current", "bubbling", "panels", "error"
 
@@ -110,32 +111,44 @@ def operating_point(solution: FieldSolution, asked: Floats, states: Sequence[str
     """What happens when driven electrodes get the voltages `asked` [V], shape (e,); the others are as `states` says."""
     voltages = connection(solution.conductance, states) @ asked
     currents = solution.conductance @ voltages
-    density = currents / conducting_area(solution.problem)
+    density = currents / conducting_area(solution.problem.array, solution.problem.tank)
     return OperatingPoint(solution, tuple(states), asked, voltages, currents, density)
 
 
-def conducting_area(problem: FieldProblem) -> Floats:
+def conducting_area(array: ElectrodeArray, tank: Tank) -> Floats:
     """Area [m^2] through which each electrode gives its current, shape (e,): both sides of a plate that has two.
 
     A backing covers one side of a plate, and so does a boundary of the tank in which it lies.
     """
-    panels, array = problem.panels, problem.array
-    area = np.zeros(array.count)
-    for number, electrode in enumerate(array.electrodes):
-        mine = panels.active & (panels.owner == number)
-        both = isinstance(electrode.shape, THIN) and electrode.backing == 0.0
-        sides = 2 if both and not _in_boundary(problem, panels.corners[:, :, mine]) else 1
-        area[number] = sides * panels.area[mine].sum()
-    return area
+    return np.array([_sides(electrode, tank) * _area(electrode.shape) for electrode in array.electrodes])
 
 
-def _in_boundary(problem: FieldProblem, corners: Floats) -> bool:
-    """Whether all `corners`, shape (3, 4, q), lie in one boundary of the tank."""
-    return any(
-        plane is not None and bool(np.all(np.abs(corners[axis] - plane) < IN_PLANE))
-        for axis, planes in enumerate(problem.tank.planes)
+def _area(shape: Shape) -> float:
+    """One side of a thin shape, or all of the surface of another [m^2]."""
+    match shape:
+        case Rectangle(size=(a, b)):
+            return a * b
+        case Disc(diameter=d):
+            return np.pi / 4.0 * d**2
+        case Ring(diameter=d, inner_diameter=inner):
+            return np.pi / 4.0 * (d**2 - inner**2)
+        case Rod(diameter=d, length=length):
+            return np.pi * d * (length + d / 2.0)
+        case Block(size=(a, b, c)):
+            return 2.0 * (a * b + b * c + c * a)
+
+
+def _sides(electrode: Electrode, tank: Tank) -> int:
+    if not isinstance(electrode.shape, THIN) or electrode.backing > 0.0:
+        return 1
+    lies_in_boundary = any(
+        plane is not None
+        and abs(electrode.frame[axis, 2]) > 1.0 - IN_PLANE
+        and abs(electrode.centre[axis] - plane) < IN_PLANE
+        for axis, planes in enumerate(tank.planes)
         for plane in planes
     )
+    return 1 if lies_in_boundary else 2
 
 
 def excesses(point: OperatingPoint, limits: Limits, body: Floats, error: float | None) -> list[Excess]:

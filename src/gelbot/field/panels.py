@@ -24,9 +24,6 @@ GRADING = 3.5
 FEWEST = 4
 """Panels across the shorter side of a shape, at least."""
 
-RIM = 2
-"""Panels across the insulated rim of a backing."""
-
 Floats: TypeAlias = NDArray[np.float64]
 
 
@@ -136,7 +133,7 @@ def joined(parts: list[Panels]) -> Panels:
 
 def _electrode_panels(number: int, electrode: Electrode, per_side: int) -> Panels:
     front = SURFACES[type(electrode.shape)](electrode.shape, per_side)
-    insulated = np.zeros((3, 4, 0)) if electrode.backing == 0.0 else _backing(front, electrode.backing)
+    insulated = np.zeros((3, 4, 0)) if electrode.backing == 0.0 else _backing(front, electrode.backing, max(2, per_side // 2))
     local = np.concatenate([front, insulated], axis=2)
     corners = np.tensordot(electrode.frame, local, 1) + electrode.centre[:, None, None]
     contrast = np.concatenate([np.full(front.shape[2], np.nan), np.ones(insulated.shape[2])])
@@ -233,10 +230,13 @@ SURFACES: dict[type, Callable[..., Floats]] = {
 }
 
 
-def _backing(front: Floats, thickness: float) -> Floats:
-    """The insulated back and rim of a plate whose `front` lies in z = 0 and looks up."""
+def _backing(front: Floats, thickness: float, rim_panels: int) -> Floats:
+    """The insulated back and rim of a plate whose `front` lies in z = 0 and looks up, `rim_panels` across the rim.
+
+    They are graded towards the front: where it ends the charge goes as distance^(-2/3), stronger than at a free edge.
+    """
     down = np.array([0.0, 0.0, -thickness])[:, None, None]
-    heights = (graded(RIM) - 1.0) / 2.0 * thickness
+    heights = (graded(rim_panels, 1) - 1.0) / 2.0 * thickness
     points, numbers = np.unique(np.round(front.transpose(1, 2, 0).reshape(-1, 3), 12), axis=0, return_inverse=True)
     corner = numbers.reshape(4, -1)
     edges = Counter(

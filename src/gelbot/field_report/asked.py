@@ -63,7 +63,7 @@ def drive(request: Request, scenario: Scenario, array: ElectrodeArray, moment: M
         for option, given in (("--template", request.template), ("--amplitude", request.amplitude)):
             if given is not None:
                 raise BadInput(option, given, "nothing beside --voltages, which says everything")
-        return Drive(_listed(request.voltages, array, driven), "--voltages")
+        return Drive(_listed(request.voltages, array, driven), "voltages as given")
     if request.template is None and request.amplitude is None and moment.voltages is not None:
         return Drive(moment.voltages, moment.source)
     phase = scenario.programme.phases[0]

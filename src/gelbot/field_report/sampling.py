@@ -14,8 +14,10 @@ from gelbot.field_report.asked import Plane
 
 Floats = NDArray[np.float64]
 
-POINTS_MOST = 15_000
-"""Points of a grid, about: some 0.4 mm apart under the array of the paper."""
+POINTS_MOST, POINTS_LEAST = 15_000, 5_000
+"""Points of a grid, about: some 0.5 mm apart in a section of the paper's array."""
+PAIRS = 3e8
+"""Pairs of points and panels, mirror images counted, above which a grid has fewer points: that costs seconds."""
 FEWEST = 24
 """Points of a grid in each direction, at least."""
 MARGIN = 0.12
@@ -50,12 +52,12 @@ def view(array: ElectrodeArray, body: Floats, tank: Tank) -> tuple[Floats, Float
     return low, high
 
 
-def grid(plane: Plane, low: Floats, high: Floats) -> tuple[Floats, Floats, Floats]:
-    """Coordinates to the right (u,) and upwards (v,) [m], and all points (3, v * u) of the plane's grid."""
+def grid(plane: Plane, low: Floats, high: Floats, most: int = POINTS_MOST) -> tuple[Floats, Floats, Floats]:
+    """Coordinates to the right (u,) and upwards (v,) [m], and all points (3, v * u), about `most`, of the grid."""
     right, up = (axis for axis in range(3) if axis != plane.axis)
     width, height = high[right] - low[right], high[up] - low[up]
-    spacing = np.sqrt(width * height / POINTS_MOST)
-    count = [int(np.clip(length / spacing, FEWEST, POINTS_MOST / FEWEST)) for length in (width, height)]
+    spacing = np.sqrt(width * height / most)
+    count = [int(np.clip(length / spacing, FEWEST, most / FEWEST)) for length in (width, height)]
     u, v = np.linspace(low[right], high[right], count[0]), np.linspace(low[up], high[up], count[1])
     points = np.empty((3, len(v), len(u)))
     points[plane.axis], points[right], points[up] = plane.value, u, v[:, None]
@@ -64,7 +66,10 @@ def grid(plane: Plane, low: Floats, high: Floats) -> tuple[Floats, Floats, Float
 
 def sample(point: OperatingPoint, plane: Plane, low: Floats, high: Floats) -> Sampled:
     """The field on a grid over the part of `plane` that lies between `low` and `high` [m], (3,)."""
-    u, v, points = grid(plane, low, high)
+    problem = point.solution.problem
+    images = np.prod([1 + sum(place is not None for place in planes) for planes in problem.tank.planes])
+    most = int(np.clip(PAIRS / (images * problem.panels.count), POINTS_LEAST, POINTS_MOST))
+    u, v, points = grid(plane, low, high, most)
     potential, density = field_at(point, points)
     return Sampled(plane, u, v, potential.reshape(len(v), len(u)), density.reshape(3, len(v), len(u)))
 

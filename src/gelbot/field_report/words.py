@@ -30,7 +30,7 @@ def numbers(
     problem = point.solution.problem
     names = [electrode.name for electrode in problem.array.electrodes]
     return {
-        "scenario": scenario.name,
+        "name": scenario.name,
         "drive": drive.source,
         "body": moment.source,
         "names": names,

@@ -45,7 +45,7 @@ def label_contours(
         return
     places = to_points.inverted().transform(np.array(placed) / points)
     for text in axes.clabel(lines, list(levels), fontsize=size, fmt=plain, inline_spacing=2, manual=places.tolist()):
-        text.set(color=INK, path_effects=[withStroke(linewidth=1.2, foreground="white", alpha=0.7)])
+        text.set(color=INK, zorder=6, path_effects=[withStroke(linewidth=1.2, foreground="white", alpha=0.7)])
 
 
 def plain(value: float) -> str:

@@ -43,14 +43,23 @@ def _hull_cut(corners: Floats, axis: int, value: float) -> BaseGeometry:
     return shapely.MultiPoint(found[list(across(axis))].T).convex_hull
 
 
-def loops(shape: BaseGeometry) -> list[Floats]:
-    """The lines of a cut, or the outer edges of its areas, (k, 2) each."""
+def loops(shape: BaseGeometry) -> list[list[Floats]]:
+    """The parts of a cut: a line alone, or an area's outer edge and those of its holes; (k, 2) each."""
     parts = [part for part in getattr(shape, "geoms", [shape]) if not part.is_empty]
-    return [shapely.get_coordinates(part.exterior if part.geom_type == "Polygon" else part) for part in parts]
+    edges = [[part.exterior, *part.interiors] if part.geom_type == "Polygon" else [part] for part in parts]
+    return [[shapely.get_coordinates(line) for line in lines] for lines in edges]
+
+
+def chained(segments: Floats) -> list[Floats]:
+    """Segments (k, 2, 2) joined to lines, (m, 2) each, so that dashes run on from one to the next."""
+    if not len(segments):
+        return []
+    merged = shapely.line_merge(shapely.MultiLineString(list(np.round(segments, 9))))
+    return [shapely.get_coordinates(line) for line in getattr(merged, "geoms", [merged])]
 
 
 def surface_cut(position: Floats, faces: NDArray[np.int64], axis: int, value: float) -> Floats:
-    """The segments in which a plane cuts a surface, nodes (3, n) [m], triangles (3, f); (k, 2, 2): [segment, end, axis]."""
+    """The segments in which a plane cuts a surface, (k, 2, 2): nodes `position` (3, n), triangles `faces` (3, f)."""
     corners = position[:, faces]
     height = corners[axis] - value
     above = height >= 0.0

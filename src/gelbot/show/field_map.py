@@ -12,33 +12,28 @@ from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.contour import ContourSet
-from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
 from gelbot.errors import shortened
 from gelbot.show.contour_labels import label_contours, plain
 from gelbot.show.cuts import across
+from gelbot.show.field_page import Page, page_for
 from gelbot.show.field_scene import LABEL_HEIGHT, MM, TINY, draw_scene, occupied
-from gelbot.show.style import FAINT, INK, SETTINGS, VOLTAGE_MAP, Place, new_figure, save
+from gelbot.show.style import FAINT, INK, SETTINGS, VOLTAGE_MAP, save
 
 Floats = NDArray[np.float64]
 
-WIDTH, DPI = 7.16, 200
-"""Both columns of a paper [inches]."""
-TALLEST = 4.4
-"""Most height of a map [inches]."""
-BETWEEN = 0.36
-"""From a map to the one below it [inches]."""
-WIDE = 1.5
-"""A plane wider than this, in its heights, has its maps one above the other, else side by side."""
 OUTLIERS = 0.4
 """Per cent of the current densities beyond each end of the colours: at the edges of plates they have no limit."""
 SMALL = 8.0
 """Size of the print round the maps [points]."""
-AMPERES = "A/m$^2$"
+DEEPEST = 300.0
+"""Most that a colour range spans, largest over smallest: inside a solid electrode there is no current at all."""
 LINES = 3.0
 """Density of the streamlines, both ways together."""
+LEVELS = 26
+"""Most steps of potential from one contour to the next."""
 STEPS = [1.0, 2.0, 5.0, 10.0]
 DENSITY_MAP = matplotlib.colormaps["viridis"]
 
@@ -61,12 +56,15 @@ class Section(NamedTuple):
         """Plane `number` of a field's data set."""
         axis = "xyz".index(data.attrs["plane_axes"][number])
         right, up = (f"{'xyz'[a]}_{number}" for a in across(axis))
+        # Nowhere is it beyond that of the electrodes, but for what single panels do at their surface.
+        bounds = data["electrode_potential"].values
+        potential = data[f"potential_{number}"].transpose(up, right).values.clip(bounds.min(), bounds.max())
         return Section(
             axis=axis,
             value=float(data[f"{'xyz'[axis]}_{number}"]),
             u=data[right].values * MM,
             v=data[up].values * MM,
-            potential=data[f"potential_{number}"].transpose(up, right).values,
+            potential=potential,
             density=data[f"current_density_{number}"].transpose("space", up, right).values,
         )
 
@@ -76,65 +74,31 @@ class Section(NamedTuple):
         return bool(np.ptp(self.potential) <= 1e-9 * np.abs(self.potential).max())
 
 
-class Page(NamedTuple):
-    """A figure with the places of its two maps and of their colour bars, which are upright or not."""
-
-    figure: Figure
-    maps: tuple[Place, Place]
-    bars: tuple[Place, Place]
-    upright: bool
-
-
 def draw_plane(data: xr.Dataset, number: int, paths: list[Path]) -> list[Path]:
     """Write the picture of plane `number` of a field's data set to `paths`, of the kinds that their names end with."""
     section = Section.of(data, number)
     with matplotlib.rc_context({**SETTINGS, "font.size": SMALL, "pdf.fonttype": 42, "axes.linewidth": 0.6}):
-        page = _page(section)
+        page = page_for(float(np.ptp(section.v) / np.ptp(section.u)))
         figure = page.figure
         maps, bars = ([figure.add_axes(place) for place in places] for places in (page.maps, page.bars))
         for letter, what, axes in zip("ab", ("potential", "current density"), maps, strict=True):
             _frame(axes, section, f"({letter}) {what}", named=letter == "b" or not page.upright)
         _headline(page, data, section)
         upright = "vertical" if page.upright else "horizontal"
+        long = page.has_long_bars
+        labels = ("potential [V]", "current density [A/m$^2$]") if long else ("V", "A/m$^2$")
         volts = _draw_potential(maps[0], section, data)
-        figure.colorbar(volts, bars[0], orientation=upright, label="potential [V]", ticks=MaxNLocator(9, steps=STEPS))
+        ticks = MaxNLocator(9 if long else 5, steps=STEPS)
+        figure.colorbar(volts, bars[0], orientation=upright, label=labels[0], ticks=ticks)
         amperes = _draw_density(maps[1], section)
         beyond = {"low": "min", "high": "max", "low high": "both"}.get(_beyond(section, amperes), "neither")
-        bar = figure.colorbar(
-            amperes, bars[1], orientation=upright, label=f"current density [{AMPERES}]", extend=beyond
-        )
-        bar.locator, bar.formatter = LogLocator(subs=(1.0, 2.0, 5.0)), FuncFormatter(lambda x, _: f"{x:g}")
-        bar.minorlocator = NullLocator()
+        bar = figure.colorbar(amperes, bars[1], orientation=upright, label=labels[1], extend=beyond)
+        low, high = amperes.get_clim()
+        bar.locator = MaxNLocator(5, steps=STEPS) if high < 5.0 * low else LogLocator(subs=(1.0, 2.0, 5.0))
+        bar.formatter, bar.minorlocator = FuncFormatter(lambda x, _: f"{x:g}"), NullLocator()
         for axes in maps:
             draw_scene(axes, data, section.axis, section.value, _volts(section))
         return [save(figure, path) for path in paths]
-
-
-def _page(section: Section) -> Page:
-    """Sizes in inches: margins, and maps of the plane's own proportions."""
-    aspect = float(np.ptp(section.v) / np.ptp(section.u))
-    left, gap, head, foot = 0.5, 0.62, 0.7, 0.42
-    if 1.0 / aspect > WIDE:
-        width = min(WIDTH - left - 0.95, TALLEST / aspect)
-        height = width * aspect
-        total = head + 2.0 * height + BETWEEN + foot
-        bottoms = (foot + height + BETWEEN, foot)
-        maps = [(left, bottom, width, height) for bottom in bottoms]
-        bars = [(left + width + 0.15, bottom, 0.11, height) for bottom in bottoms]
-    else:
-        width = min((WIDTH - left - gap - 0.15) / 2.0, TALLEST / aspect)
-        height = width * aspect
-        foot += 0.62
-        total = head + height + foot
-        starts = (left, left + width + gap)
-        maps = [(start, foot, width, height) for start in starts]
-        bars = [(start + 0.04 * width, 0.42, 0.92 * width, 0.11) for start in starts]
-
-    def shares(places: list[Place]) -> tuple[Place, Place]:
-        one, other = ((x / WIDTH, y / total, w / WIDTH, h / total) for x, y, w, h in places)
-        return one, other
-
-    return Page(new_figure(WIDTH, total, DPI), shares(maps), shares(bars), 1.0 / aspect > WIDE)
 
 
 def _headline(page: Page, data: xr.Dataset, section: Section) -> None:
@@ -147,8 +111,8 @@ def _headline(page: Page, data: xr.Dataset, section: Section) -> None:
     if np.isfinite(gel):
         drive += f"; gel of {gel:.4g} S/m in a solution of {float(data.attrs['conductivity']):.4g} S/m"
     left = page.maps[0][0]
-    page.figure.text(left, 1.0 - 0.1 / height, title, fontsize=9.5, weight="bold", va="top")
-    page.figure.text(left, 1.0 - 0.3 / height, drive, fontsize=SMALL, va="top")
+    page.figure.text(left, 1.0 - 0.1 / height, title, fontsize=9.5, weight="bold", va="top", parse_math=False)
+    page.figure.text(left, 1.0 - 0.3 / height, drive, fontsize=SMALL, va="top", parse_math=False)
 
 
 def _frame(axes: Axes, section: Section, title: str, named: bool) -> None:
@@ -169,7 +133,9 @@ def _draw_potential(axes: Axes, section: Section, data: xr.Dataset) -> ContourSe
     """Filled contours, white at 0 V, each second one with its value."""
     u, v, potential = section.u, section.v, section.potential
     low, high = float(potential.min()), float(potential.max())
-    levels = MaxNLocator(24, steps=STEPS).tick_values(*((low - 0.5, high + 0.5) if section.is_uniform else (low, high)))
+    if section.is_uniform:
+        low, high = low - 0.5, high + 0.5
+    levels = MaxNLocator(LEVELS, steps=[1.0, 2.0, 2.5, 5.0, 10.0]).tick_values(low, high)
     filled = axes.contourf(u, v, potential, levels=levels, cmap=VOLTAGE_MAP, norm=_volts(section))
     # No white hairlines between the areas, in viewers that smooth their edges.
     filled.set_edgecolor("face")
@@ -192,7 +158,7 @@ def _draw_density(axes: Axes, section: Section) -> QuadMesh:
     """Its size in colours, on a logarithmic scale; lines along the part of it that lies in the plane."""
     size = _size(section)
     low, high = (1.0, 10.0) if section.is_uniform else np.percentile(size, [OUTLIERS, 100.0 - OUTLIERS])
-    norm = LogNorm(max(low, 1e-6 * high), max(high, 1.001 * low))
+    norm = LogNorm(max(low, high / DEEPEST), max(high, 1.001 * low))
     mesh = axes.pcolormesh(section.u, section.v, size, cmap=DENSITY_MAP, norm=norm, shading="gouraud")
     mesh.set_rasterized(True)
     if not section.is_uniform:

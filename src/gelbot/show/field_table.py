@@ -20,7 +20,7 @@ def electrode_table(report: Mapping[str, Any]) -> Table:
     shown = list(range(len(currents)))
     if len(shown) > ALL_UP_TO:
         shown = sorted(shown, key=lambda n: -abs(currents[n]))[:LARGEST]
-    table = Table(title=Text(f"{report['scenario']}: {report['drive']}"))
+    table = Table(title=Text(f"{report['name']}: {report['drive']}"))
     table.add_column("electrode")
     for head in ("voltage [V]", "current [mA]", "mean density [mA/cm^2]"):
         table.add_column(Text(head), justify="right")
