@@ -24,6 +24,7 @@ from gelbot.field.outlines import outlines
 from gelbot.points import observe
 from gelbot.record.run_store import RunStore, open_run
 from gelbot.record.summary import summarise
+from gelbot.record.whole_file import write_text
 from gelbot.scenario.build import Experiment, build, disturbed
 from gelbot.scenario.load import Loaded
 from gelbot.show.progress import RunProgress
@@ -63,7 +64,7 @@ def run_scenario(loaded: Loaded, out: Path, movie: bool = True, progress: bool =
         store.finish("stopped by the user")
     run = open_run(out / RUN)
     summary = summarise(run, times["wall_s"], times["compile_s"])
-    _write_whole(out / SUMMARY, json.dumps(summary, indent=2) + "\n")
+    write_text(out / SUMMARY, json.dumps(summary, indent=2) + "\n")
     # Who stops a run does not want to wait for its pictures.
     if run.sizes.get("time", 0) > 1 and not isinstance(failure, KeyboardInterrupt):
         _draw(run, loaded, out, movie, progress)
@@ -230,9 +231,3 @@ class _MovieBar:
 
     def __exit__(self, *_: object) -> None:
         self._bar.stop()
-
-
-def _write_whole(path: Path, text: str) -> None:
-    draft = path.with_name(f".{path.name}.new")
-    draft.write_text(text, encoding="utf-8")
-    draft.replace(path)

@@ -43,8 +43,8 @@ class Gel(NamedTuple):
 class Model(NamedTuple):
     """All that stays constant during a run.
 
-    `disturbance` [A/m^2/V], shape (f, e): how a gel of another conductivity changes the inflow through its faces, as long
-    as its shape is about what it was when that was computed; None: as the solution.
+    `disturbance` [A/m^2/V], shape (f, e): how a gel of another conductivity changes the inflow through its faces, as
+    long as its shape is about what it was when that was computed; None: the gel conducts as the solution.
     """
 
     gel: Gel

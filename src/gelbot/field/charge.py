@@ -27,7 +27,7 @@ from gelbot.errors import GelbotError
 from gelbot.field.electrodes import ElectrodeArray
 from gelbot.field.images import Tank
 from gelbot.field.influence import mutual_images, mutual_potentials, mutual_slopes, potentials_at, slopes_at
-from gelbot.field.panels import Panels, joined, panels_of
+from gelbot.field.panels import FEWEST, Panels, joined, panels_of
 
 Floats = NDArray[np.float64]
 
@@ -179,13 +179,16 @@ def _closest(array: ElectrodeArray) -> list[str]:
 
 
 def error_estimate(solution: FieldSolution) -> float:
-    """Largest change of the conductance matrix, relative to its largest element, since the panels were halved.
+    """Largest change of the conductance matrix, relative to its largest element, with half as many panels along a side.
 
-    The error that is left is smaller: it falls with more than the second power of the number of panels along a side.
+    The error that is left is smaller: it falls with more than the second power of that number. Where half as many would
+    be fewer than a shape needs, the change with twice as many: then it is about the error itself.
     """
     problem = solution.problem
     if np.any(problem.panels.owner < 0):
         raise ValueError("the estimate is made without a gel")
-    coarse = build_problem(problem.array, problem.tank, problem.conductivity, max(2, problem.panels_per_side // 2))
-    change = solve(coarse).conductance - solution.conductance
+    fine = problem.panels_per_side
+    other = fine // 2 if fine >= 2 * FEWEST else 2 * fine
+    compared = build_problem(problem.array, problem.tank, problem.conductivity, other)
+    change = solve(compared).conductance - solution.conductance
     return float(np.abs(change).max() / np.abs(solution.conductance).max())

@@ -1,6 +1,7 @@
 """Insulating floor, free surface and walls as mirror images: no current crosses a plane of symmetry.
 
-A source between two parallel planes has images without end. The nearest are summed one by one; all the others together are a smooth potential R(x, x'), for which, with 1/r as a sum of Gaussians,
+A source between two parallel planes has images without end. The nearest are summed one by one; all the others together
+are a smooth potential R(x, x'), for which, with 1/r as a sum of Gaussians,
 
     1/r = 2/sqrt(pi) int_0^inf exp(-t^2 r^2) dt,
 

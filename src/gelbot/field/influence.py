@@ -93,7 +93,9 @@ def potentials_at(points: Floats, panels: Panels, currents: Floats, tank: Tank) 
     images = Images(tank, _box(panels.corners), _box(points))
     total = _sum_at(points, panels, currents, images, far_potential, _potential)
     if images.others:
-        total += images.point_weights(points).T @ (images.kernel @ (_averaged_weights(panels, images) @ currents))
+        series = images.kernel @ (_averaged_weights(panels, images) @ currents)
+        for part in _parts(points.shape[1]):
+            total[part] += images.point_weights(points[:, part]).T @ series
     return total
 
 
@@ -103,7 +105,8 @@ def slopes_at(points: Floats, panels: Panels, currents: Floats, tank: Tank) -> F
     total = _sum_at(points, panels, currents, images, far_gradient, _gradient)
     if images.others:
         series = images.kernel @ (_averaged_weights(panels, images) @ currents)
-        total += np.einsum("amp,me->ape", images.point_slopes(points), series)
+        for part in _parts(points.shape[1]):
+            total[:, part] += images.point_slopes(points[:, part]).transpose(0, 2, 1) @ series
     return total
 
 
@@ -120,10 +123,10 @@ def _sum_at(
     moments = np.stack([_mirrored(panels.moments, image) for image in images.near])
     least = panels.radius
     parts: list[Floats] = []
-    for start in range(0, points.shape[1], POINTS):
-        part = points[:, start : start + POINTS]
-        full = np.pad(part, ((0, 0), (0, POINTS - part.shape[1])), mode="edge")  # compiled once, for this length
-        parts.append(np.asarray(_far_sum(full, centres, moments, least, currents, far))[..., : part.shape[1], :])
+    for part in _parts(points.shape[1]):
+        some = points[:, part]
+        full = np.pad(some, ((0, 0), (0, POINTS - some.shape[1])), mode="edge")  # compiled once, for this length
+        parts.append(np.asarray(_far_sum(full, centres, moments, least, currents, far))[..., : some.shape[1], :])
     total = np.concatenate(parts, axis=-2)
     tree = cKDTree(points.T)
     for image, mirrored in zip(images.near, moments, strict=True):
@@ -178,6 +181,10 @@ def _pairs(
                 wrong = far(r[:, i, j], moments[:, i, j], 0.5 * radii[i, j])
                 total[..., i, j] += near(targets[i], j, image) - wrong
         yield part, np.asarray(total)
+
+
+def _parts(count: int) -> list[slice]:
+    return [slice(start, start + POINTS) for start in range(0, count, POINTS)]
 
 
 def _tiles(targets: int, sources: int) -> list[slice]:

@@ -133,7 +133,9 @@ def joined(parts: list[Panels]) -> Panels:
 
 def _electrode_panels(number: int, electrode: Electrode, per_side: int) -> Panels:
     front = SURFACES[type(electrode.shape)](electrode.shape, per_side)
-    insulated = np.zeros((3, 4, 0)) if electrode.backing == 0.0 else _backing(front, electrode.backing, max(2, per_side // 2))
+    insulated = (
+        np.zeros((3, 4, 0)) if electrode.backing == 0.0 else _backing(front, electrode.backing, max(2, per_side // 2))
+    )
     local = np.concatenate([front, insulated], axis=2)
     corners = np.tensordot(electrode.frame, local, 1) + electrode.centre[:, None, None]
     contrast = np.concatenate([np.full(front.shape[2], np.nan), np.ones(insulated.shape[2])])

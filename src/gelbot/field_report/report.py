@@ -19,7 +19,6 @@ from gelbot.field.gel import gel_panels
 from gelbot.field.gel_effect import gel_effect
 from gelbot.field.images import Tank
 from gelbot.field.operating_point import Limits, OperatingPoint, excesses, operating_point
-from gelbot.field.panels import panels_of
 from gelbot.field_report.asked import Drive, Plane, Request, drive, gel_conductivity, planes, points
 from gelbot.field_report.dataset import field_dataset
 from gelbot.field_report.moment import Moment, at_start, of_run
@@ -60,7 +59,7 @@ def report_field(loaded: Loaded, request: Request, out: Path, progress: bool = T
         field = _solved(loaded, question)
         undisturbed = operating_point(field, question.drive.voltages, scenario.electrodes.states)
         point = undisturbed if gel is None else _with_gel(loaded, question, gel)
-        error = _error(field)
+        error = error_estimate(field)
         sampled, values = _sampled(question, point, status.update)
         limits = Limits(scenario.supply.limit, scenario.supply.current_limit, scenario.electrodes.bubbling)
         found = excesses(point, limits, question.moment.positions, error)
@@ -114,13 +113,6 @@ def _with_gel(loaded: Loaded, question: Question, conductivity: float) -> Operat
     gel = gel_panels(moment.positions, moment.faces, conductivity, sigma)
     problem = build_problem(question.array, question.tank, sigma, scenario.electrodes.panels_used, gel)
     return operating_point(solve(problem), question.drive.voltages, scenario.electrodes.states)
-
-
-def _error(field: FieldSolution) -> float | None:
-    """The error estimate; None where the panels are so few that half as many are the same."""
-    problem = field.problem
-    half = panels_of(problem.array, max(2, problem.panels_per_side // 2))
-    return None if half.count == problem.panels.count else error_estimate(field)
 
 
 def _sampled(question: Question, point: OperatingPoint, say: Say) -> tuple[list[Sampled], tuple[Floats, Floats] | None]:

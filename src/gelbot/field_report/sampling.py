@@ -22,8 +22,6 @@ FEWEST = 24
 """Points of a grid in each direction, at least."""
 MARGIN = 0.12
 """Room around electrodes and body, as a share of their breadth."""
-AT_ONCE = 2_000
-"""Points that are computed at once, which bounds the memory that they take."""
 
 
 class Sampled(NamedTuple):
@@ -76,8 +74,4 @@ def sample(point: OperatingPoint, plane: Plane, low: Floats, high: Floats) -> Sa
 
 def field_at(point: OperatingPoint, points: Floats) -> tuple[Floats, Floats]:
     """Potential (p,) [V] and current density (3, p) [A/m^2] at `points` (3, p) [m]."""
-    parts = [points[:, start : start + AT_ONCE] for start in range(0, points.shape[1], AT_ONCE)]
-    return (
-        np.concatenate([point.potential(part) for part in parts]),
-        np.concatenate([point.current_density(part) for part in parts], axis=1),
-    )
+    return point.potential(points), point.current_density(points)
