@@ -369,6 +369,20 @@ def test_single_precision_moves_alike():
     assert iterations[1] < 1.2 * iterations[0]
 
 
+@pytest.mark.slow
+def test_a_gel_that_conducts_worse_rises_slower(tmp_path: Path, dome: Run):
+    """A gel like the solution moves as one whose conductivity is not given; a bad conductor gets less current."""
+    low = float(dome.data["centre"].values[0, 2])
+    rises = []
+    for name, conductivity in (("same", "0.19 S/m"), ("worse", "0.06 S/m")):
+        change = f"material.conductivity={conductivity}"
+        run_scenario(load("dome", [*SHORT, change]), tmp_path / name, movie=False, progress=False)
+        rises.append(float(open_run(tmp_path / name / "run.zarr")["centre"].values[-1, 2]) - low)
+    plain = float(dome.data["centre"].values[-1, 2]) - low
+    assert rises[0] == pytest.approx(plain, rel=0.02)  # the steps are solved to 3 %
+    assert 0.3 * plain < rises[1] < 0.9 * plain
+
+
 class TestFailures:
     def test_a_mesh_too_coarse_writes_nothing(self, tmp_path: Path):
         """It shows only while the body is being built, after the scenario has been checked."""

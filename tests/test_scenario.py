@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from gelbot.errors import BadInput
 from gelbot.scenario import built_in_text, description, load, names
+from gelbot.scenario.build import field_tank
 from gelbot.scenario.overrides import with_overrides
 
 REST = 'thickness="1 mm", mesh_size="1 mm", layers=2, pose={position=["0 mm","0 mm"], heading="0 deg", lift="0 mm"}'
@@ -57,6 +58,8 @@ MISTAKES = [
     ("tank.depth=14 mm", "tank.depth", "'14 mm'", "at least 15 mm: electrode 0 reaches to z = 15 mm"),
     ("tank.floor_depth=-1 mm", "tank.floor_depth", "'-1 mm'", "at least 0"),
     ('tank.size=["80 mm", "150 mm"]', "tank.size", "80 mm", "at least 85 mm"),
+    ('tank.open=["+x"]', "tank.open", "'+x'", "without size it has none there"),
+    ('tank.open=["lid"]', "tank.open", "'lid'", "'floor', 'surface'"),
     ("tank.friction=-0.1", "tank.friction", "-0.1", "at least 0"),
     ("supply.limit=0 V", "supply.limit", "'0 V'", "greater than 0"),
     ("supply.current_limit=0 A", "supply.current_limit", "'0 A'", "greater than 0"),
@@ -95,6 +98,14 @@ def test_a_mistake_is_explained_in_terms_of_the_file(tmp_path: Path, change: str
     assert refused.value.where in (f"{file}: {key}", f"{file}: {key}.0")
     assert f"got {given}" in str(refused.value) or given in repr(refused.value.given)
     assert allowed in str(refused.value)
+
+
+def test_boundaries_that_are_open_do_not_insulate():
+    size = 'tank.size=["130 mm", "130 mm"]'
+    closed = field_tank(load("turn-over", [size]).scenario)
+    assert closed.planes == ((-0.065, 0.065), (-0.065, 0.065), (-1e-3, 30e-3))
+    opened = field_tank(load("turn-over", [size, 'tank.open=["floor", "-x", "+y"]']).scenario)
+    assert opened.planes == ((None, 0.065), (-0.065, None), (None, 30e-3))
 
 
 def test_a_body_through_the_wall_of_the_tank_is_refused():

@@ -1,10 +1,12 @@
-"""The lead field on a grid: current density anywhere in the working volume for any voltages, at the cost of a gather.
+"""The lead field on a grid: potential and current density anywhere in the working volume, for any voltages.
 
 The potential of each electrode at unit voltage is interpolated by a cubic B-spline; its exact gradient gives
 
     i(x) = sum_e V_e g_e(x),    g_e = -sigma grad phi_e,
 
 so the interpolated field is free of curl by construction and superposition holds to rounding.
+
+A batch of b robots, each with its own voltages and its own points, comes last: voltages (e, b), points (3, p, b).
 """
 
 from __future__ import annotations
@@ -17,103 +19,116 @@ from jax import Array
 from numpy.typing import NDArray
 
 from gelbot.field.charge import FieldSolution
+from gelbot.field.spline import Orders, clamped_interpolation, evaluate, interpolation
+
+Floats = NDArray[np.float64]
+
+MARGIN = 2
+"""Cells around the box, in the plane, whose values are used and not kept: the spline's ends disturb it no more."""
+VALUE: Orders = ((0, 0, 0),)
+SLOPES: Orders = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+CURVATURES: Orders = ((2, 0, 0), (1, 1, 0), (1, 0, 1), (0, 2, 0), (0, 1, 1), (0, 0, 2))
+SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+"""Where in `CURVATURES` the second derivative along two axes stands."""
 
 
 class LeadField(NamedTuple):
-    """B-spline coefficients of the electrodes' potentials [V/V], shape (e, nx * ny * nz), on a grid.
+    """B-spline coefficients of the electrodes' potentials [V/V], shape (e, nx + 3, ny + 3, nz + 3), for nx, ny, nz cells.
 
-    `origin` [m], shape (3,), is the grid point 0, `spacing` [m] the distance of grid points, `shape` (3,) the number of
-    cells along x, y, z (one more point, three more coefficients); `conductivity` [S/m].
+    `origin` [m], shape (3,), is the lowest corner of the box, `spacing` [m], shape (3,), the size of a cell;
+    `conductivity` [S/m].
     """
 
     coefficients: Array
     origin: Array
     spacing: Array
-    cells: Array
     conductivity: Array
 
 
 def build_lead_field(
     solution: FieldSolution,
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
+    low: Floats,
+    high: Floats,
     spacing: float,
-    connection: NDArray[np.float64] | None = None,
+    connection: Floats | None = None,
 ) -> LeadField:
-    """Tabulate the potentials of `solution` in the box from `low` to `high` [m], shape (3,) each.
+    """Tabulate the potentials of `solution` in the box from `low` to `high` [m], shape (3,), by cells up to `spacing` [m].
 
     With `connection` T (e, e) they are those of the voltages T v for the voltages v asked for.
     """
-    cells = np.maximum(4, np.ceil((high - low) / spacing - 1e-9)).astype(int)
-    axes = [low[k] + spacing * np.arange(cells[k] + 1) for k in range(3)]
-    points = np.stack([g.ravel() for g in np.meshgrid(*axes, indexing="ij")])
-    potentials = solution.lead_potential(points)
+    cells = np.maximum(1, np.ceil((high - low) / spacing - 1e-9)).astype(int)
+    size = (high - low) / cells
+    outside = np.array([MARGIN, MARGIN, 0])
+    x, y, z = (low[k] + size[k] * np.arange(-outside[k], cells[k] + outside[k] + 1) for k in range(3))
+    values = solution.lead_potential(_grid(x, y, z)).reshape(-1, len(x), len(y), len(z))
+    # Below and above, where the table ends, the slopes are known too: there the field is strongest, and a plate is near.
+    ends = solution.lead_current_density(_grid(x, y, z[[0, -1]]))[:, 2].reshape(-1, len(x), len(y), 2)
+    conductivity = solution.problem.conductivity
+    values = np.concatenate([values, -size[2] / conductivity * ends], axis=3)
+    values = np.einsum("exyz,kz->exyk", values, clamped_interpolation(len(z)), optimize=True)
+    values = np.einsum("exyk,jy->exjk", values, interpolation(len(y)), optimize=True)
+    values = np.einsum("exjk,ix->eijk", values, interpolation(len(x)), optimize=True)
+    values = values[:, MARGIN:-MARGIN, MARGIN:-MARGIN]
     if connection is not None:
-        potentials = connection.T @ potentials
-    values = potentials.reshape(-1, *(cells + 1))
-    for axis in range(3):
-        values = np.moveaxis(np.tensordot(_spline_matrix(int(cells[axis]) + 1), values, (1, axis + 1)), 0, axis + 1)
+        values = np.einsum("ef,eijk->fijk", connection, values, optimize=True)
     return LeadField(
-        coefficients=jnp.asarray(values.reshape(len(values), -1)),
+        coefficients=jnp.asarray(values),
         origin=jnp.asarray(low),
-        spacing=jnp.asarray(spacing),
-        cells=jnp.asarray(cells),
-        conductivity=jnp.asarray(solution.problem.conductivity),
+        spacing=jnp.asarray(size),
+        conductivity=jnp.asarray(conductivity),
     )
 
 
-def working_volume(lead: LeadField) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _grid(x: Floats, y: Floats, z: Floats) -> Floats:
+    """All points of a grid, shape (3, nx * ny * nz), z running fastest."""
+    return np.stack([axis.ravel() for axis in np.meshgrid(x, y, z, indexing="ij")])
+
+
+def working_volume(lead: LeadField) -> tuple[Floats, Floats]:
     """The lowest and the highest corner [m], shape (3,) each, of the box in which `lead` is tabulated."""
     low = np.asarray(lead.origin, np.float64)
-    return low, low + float(lead.spacing) * np.asarray(lead.cells)
+    return low, low + np.asarray(lead.spacing, np.float64) * (np.array(lead.coefficients.shape[1:]) - 3)
 
 
 def potential_coefficients(lead: LeadField, voltages: Array) -> Array:
-    """Superposition: spline coefficients of the potential [V] for `voltages` [V], shape (e,); shape (nx * ny * nz,)."""
-    return voltages @ lead.coefficients
+    """Superposition: spline coefficients of the potential [V] for `voltages` [V], shape (e,) or (e, b).
+
+    They have the shape of the grid, (nx + 3, ny + 3, nz + 3); in a batch they come robot by robot, (b, nx + 3, ...).
+    """
+    table = lead.coefficients
+    return (voltages.T @ table.reshape(table.shape[0], -1)).reshape(*voltages.shape[1:], *table.shape[1:])
+
+
+def potential(lead: LeadField, coefficients: Array, points: Array) -> Array:
+    """Potential [V], shape (p,) or (p, b), at `points` [m], shape (3, p) or (3, p, b).
+
+    `coefficients` come from `potential_coefficients`, here and below. Points outside the box see the potential and the
+    field at its nearest point.
+    """
+    return evaluate(coefficients, _local(lead, points), VALUE)[0]
 
 
 def current_density(lead: LeadField, coefficients: Array, points: Array) -> Array:
-    """Current density i = -sigma grad phi [A/m^2], shape (3, p), at `points` [m], shape (3, p).
-
-    `coefficients` come from `potential_coefficients`. Points outside the box see the field at its nearest point.
-    """
-    local = (points - lead.origin[:, None]) / lead.spacing
-    local = jnp.clip(local, 0.0, lead.cells[:, None].astype(local.dtype))
-    cell = jnp.clip(jnp.floor(local).astype(jnp.int32), 0, lead.cells[:, None] - 1)
-    value, slope = _basis(local - cell)
-    ny, nz = lead.cells[1] + 3, lead.cells[2] + 3
-    # The coefficient array has one more entry than points on either side: cell k begins at coefficient k.
-    corner = (cell[0] * ny + cell[1]) * nz + cell[2]
-    zero = jnp.zeros_like(local[0])
-    gradient = [zero, zero, zero]
-    # Written out, each of the 64 gathers is fused with its product: 2.5 times as fast as one gather of (4, 4, 4, p).
-    for i in range(4):
-        plane, plane_y, plane_z = zero, zero, zero
-        for j in range(4):
-            line, line_z = zero, zero
-            for k in range(4):
-                around = coefficients.at[corner + (i * ny + j) * nz + k].get(mode="promise_in_bounds")
-                line, line_z = line + around * value[k, 2], line_z + around * slope[k, 2]
-            plane, plane_y = plane + line * value[j, 1], plane_y + line * slope[j, 1]
-            plane_z = plane_z + line_z * value[j, 1]
-        gradient[0] = gradient[0] + plane * slope[i, 0]
-        gradient[1] = gradient[1] + plane_y * value[i, 0]
-        gradient[2] = gradient[2] + plane_z * value[i, 0]
-    return -lead.conductivity * jnp.stack(gradient) / lead.spacing
+    """Current density i = -sigma grad phi [A/m^2], shape (3, p) or (3, p, b), at `points` [m] of the same shape."""
+    slopes = evaluate(coefficients, _local(lead, points), SLOPES)
+    return slopes * _beside(-lead.conductivity / lead.spacing, points)
 
 
-def _basis(t: Array) -> tuple[Array, Array]:
-    """The four cubic B-splines that cover a cell, and their slopes, at `t` in [0, 1], shape (3, p); (4, 3, p) each."""
-    value = jnp.stack([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]) / 6.0
-    slope = jnp.stack([-((1 - t) ** 2), 3 * t**2 - 4 * t, -3 * t**2 + 2 * t + 1, t**2]) / 2.0
-    return value, slope
+def current_density_gradient(lead: LeadField, coefficients: Array, points: Array) -> Array:
+    """Gradient d i_k / d x_l [A/m^3], shape (3, 3, p) or (3, 3, p, b), at `points` [m]; symmetric, of little trace."""
+    curvatures = evaluate(coefficients, _local(lead, points), CURVATURES)[SYMMETRIC]
+    scale = -lead.conductivity / (lead.spacing[:, None] * lead.spacing)
+    return curvatures * scale.reshape(3, 3, *[1] * (points.ndim - 1))
 
 
-def _spline_matrix(count: int) -> NDArray[np.float64]:
-    """From `count` values on a line to count + 2 B-spline coefficients: interpolation, and no knot at the ends."""
-    system = np.zeros((count + 2, count + 2))
-    for i in range(count):
-        system[i, i : i + 3] = np.array([1.0, 4.0, 1.0]) / 6.0
-    system[count, :5] = system[count + 1, -5:] = [1.0, -4.0, 6.0, -4.0, 1.0]
-    return np.asarray(np.linalg.inv(system)[:, :count], dtype=np.float64)
+def _local(lead: LeadField, points: Array) -> Array:
+    """`points` in cells from the origin; those outside the box are moved to its nearest point."""
+    local = (points - _beside(lead.origin, points)) / _beside(lead.spacing, points)
+    edge = _beside(jnp.asarray(np.array(lead.coefficients.shape[1:]) - 3, local.dtype), points)
+    # On the edge itself the field has a gradient, beyond it none: `clip` alone would halve it there.
+    return jnp.where((local >= 0.0) & (local <= edge), local, jnp.clip(local, 0.0, edge))
+
+
+def _beside(vector: Array, points: Array) -> Array:
+    """`vector`, shape (3,), with as many axes as `points`."""
+    return vector.reshape(3, *[1] * (points.ndim - 1))
