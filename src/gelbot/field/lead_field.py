@@ -19,7 +19,7 @@ from jax import Array
 from numpy.typing import NDArray
 
 from gelbot.field.charge import FieldSolution
-from gelbot.field.spline import Orders, clamped_interpolation, evaluate, interpolation
+from gelbot.field.spline import Grid, Orders, clamped_interpolation, evaluate, interpolation
 
 Floats = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
 class LeadField(NamedTuple):
-    """B-spline coefficients of the electrodes' potentials [V/V], shape (e, nx + 3, ny + 3, nz + 3), for nx, ny, nz cells.
+    """B-spline coefficients of the electrodes' potentials [V/V], (e, nx + 3, ny + 3, nz + 3), for nx, ny, nz cells.
 
     `origin` [m], shape (3,), is the lowest corner of the box, `spacing` [m], shape (3,), the size of a cell;
     `conductivity` [S/m].
@@ -52,7 +52,9 @@ def build_lead_field(
     spacing: float,
     connection: Floats | None = None,
 ) -> LeadField:
-    """Tabulate the potentials of `solution` in the box from `low` to `high` [m], shape (3,), by cells up to `spacing` [m].
+    """Tabulate the potentials of `solution` in the box from `low` to `high` [m], shape (3,), in cells of `spacing` [m].
+
+    The cells are as much smaller as it takes for whole numbers of them to fill the box.
 
     With `connection` T (e, e) they are those of the voltages T v for the voltages v asked for.
     """
@@ -61,7 +63,7 @@ def build_lead_field(
     outside = np.array([MARGIN, MARGIN, 0])
     x, y, z = (low[k] + size[k] * np.arange(-outside[k], cells[k] + outside[k] + 1) for k in range(3))
     values = solution.lead_potential(_grid(x, y, z)).reshape(-1, len(x), len(y), len(z))
-    # Below and above, where the table ends, the slopes are known too: there the field is strongest, and a plate is near.
+    # At the lower and the upper end, close to the plates, the spline gets the slopes too: no values beyond are needed.
     ends = solution.lead_current_density(_grid(x, y, z[[0, -1]]))[:, 2].reshape(-1, len(x), len(y), 2)
     conductivity = solution.problem.conductivity
     values = np.concatenate([values, -size[2] / conductivity * ends], axis=3)
@@ -105,30 +107,18 @@ def potential(lead: LeadField, coefficients: Array, points: Array) -> Array:
     `coefficients` come from `potential_coefficients`, here and below. Points outside the box see the potential and the
     field at its nearest point.
     """
-    return evaluate(coefficients, _local(lead, points), VALUE)[0]
+    return evaluate(coefficients, _grid_of(lead), points, VALUE)[0]
 
 
 def current_density(lead: LeadField, coefficients: Array, points: Array) -> Array:
     """Current density i = -sigma grad phi [A/m^2], shape (3, p) or (3, p, b), at `points` [m] of the same shape."""
-    slopes = evaluate(coefficients, _local(lead, points), SLOPES)
-    return slopes * _beside(-lead.conductivity / lead.spacing, points)
+    return -lead.conductivity * evaluate(coefficients, _grid_of(lead), points, SLOPES)
 
 
 def current_density_gradient(lead: LeadField, coefficients: Array, points: Array) -> Array:
     """Gradient d i_k / d x_l [A/m^3], shape (3, 3, p) or (3, 3, p, b), at `points` [m]; symmetric, of little trace."""
-    curvatures = evaluate(coefficients, _local(lead, points), CURVATURES)[SYMMETRIC]
-    scale = -lead.conductivity / (lead.spacing[:, None] * lead.spacing)
-    return curvatures * scale.reshape(3, 3, *[1] * (points.ndim - 1))
+    return -lead.conductivity * evaluate(coefficients, _grid_of(lead), points, CURVATURES)[SYMMETRIC]
 
 
-def _local(lead: LeadField, points: Array) -> Array:
-    """`points` in cells from the origin; those outside the box are moved to its nearest point."""
-    local = (points - _beside(lead.origin, points)) / _beside(lead.spacing, points)
-    edge = _beside(jnp.asarray(np.array(lead.coefficients.shape[1:]) - 3, local.dtype), points)
-    # On the edge itself the field has a gradient, beyond it none: `clip` alone would halve it there.
-    return jnp.where((local >= 0.0) & (local <= edge), local, jnp.clip(local, 0.0, edge))
-
-
-def _beside(vector: Array, points: Array) -> Array:
-    """`vector`, shape (3,), with as many axes as `points`."""
-    return vector.reshape(3, *[1] * (points.ndim - 1))
+def _grid_of(lead: LeadField) -> Grid:
+    return Grid(lead.origin, lead.spacing)

@@ -32,7 +32,7 @@ WORKING_REACH = 2.2
 """The lead field is tabulated this many reaches of the body around its place, about as far as it can roll."""
 GRID_SPACING = 1e-3
 """Grid of the lead field [m]: keeps its error below 1e-3 of the largest current density, 3 mm below the plates."""
-HEADROOM = 1e-3
+HEADROOM = 3e-3
 """The table ends this far [m] below the plates: nearer, their edges would need a finer grid."""
 CONTACT_LAYER = 0.01
 """Share of the thickness within which the floor's force builds up, and by which the whole weight on a node sinks in."""
