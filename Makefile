@@ -9,7 +9,7 @@ unexport PYTHONDONTWRITEBYTECODE
 unexport PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test quick lint clean
+.PHONY: help demo test quick lint bench clean
 
 help: ## say what can be made
 	@sed -n 's/^\([a-z]*\):.*## /make \1\t/p' $(MAKEFILE_LIST)
@@ -26,9 +26,12 @@ quick: $(VENV)/dev.stamp ## the tests that take seconds
 lint: $(VENV)/dev.stamp ## style, types, layers
 	$(BIN)/python tools/check.py lint
 
+bench: $(VENV)/gelbot.stamp ## how fast it is: a table, and bench.json; takes minutes, wants a quiet machine
+	$(BIN)/python benchmarks/run.py
+
 clean: ## remove the environment and all caches; runs/ stays
 	rm -rf $(VENV) build dist .pytest_cache .ruff_cache .hypothesis .import_linter_cache src/*.egg-info
-	find src tests tools examples -name __pycache__ -prune -exec rm -rf {} +
+	find src tests tools examples benchmarks -name __pycache__ -prune -exec rm -rf {} +
 
 $(BIN)/python:
 	@command -v $(PYTHON) >/dev/null || { echo "gelbot: there is no $(PYTHON) here; gelbot needs Python 3.11 or newer" >&2; exit 1; }

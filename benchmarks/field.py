@@ -18,7 +18,7 @@ MEMORY = 2000.0
 """Target for the memory of the largest array [MB]."""
 
 
-def measure(name: str) -> dict[str, float]:
+def measure(name: str) -> dict[str, float | None]:
     """Build and solve one array of plates in a tank with floor, surface and walls; best of a few runs."""
     import resource
 

@@ -30,7 +30,8 @@ def shortest(function: Callable[..., Any], changing: Any, *constant: Any, repeat
     def loop(changing: Any, *constant: Any) -> Any:
         def again(_: Any, state: tuple[Any, Any]) -> tuple[Any, Any]:
             # Each call waits for the one before it.
-            changing = state[0] + 0.0 * state[1].ravel()[0].astype(state[0].dtype)
+            nothing = 0.0 * state[1].ravel()[0].astype(state[0].dtype)
+            changing = state[0].at[(0,) * state[0].ndim].add(nothing)
             return changing, function(changing, *constant)
 
         found = jax.eval_shape(function, changing, *constant)

@@ -20,23 +20,36 @@ import matplotlib.image
 import numpy as np
 import pytest
 import xarray as xr
+from rich.console import Console
 from typer.testing import CliRunner
 
 from gelbot.body.lattice import Body
 from gelbot.cli import app
 from gelbot.errors import BadInput
 from gelbot.field.charge import build_problem, solve
-from gelbot.field.electrodes import DOWN, Block, Disc, Electrode, ElectrodeArray, Rectangle, Ring, Rod, square_array
+from gelbot.field.electrodes import (
+    DOWN,
+    Block,
+    Disc,
+    Electrode,
+    ElectrodeArray,
+    Rectangle,
+    Ring,
+    Rod,
+    frame_of,
+    square_array,
+)
 from gelbot.field.gel import gel_panels
 from gelbot.field.gel_effect import gel_effect
 from gelbot.field.images import Tank
 from gelbot.field.operating_point import Excess, Limits, conducting_area, excesses, operating_point
 from gelbot.field.outlines import outlines
+from gelbot.field.panels import panels_of
 from gelbot.field.winding import inside
 from gelbot.field_report.asked import Plane, Request, drive, planes
 from gelbot.field_report.moment import at_start
 from gelbot.field_report.report import checked, report_field
-from gelbot.field_report.sampling import grid, view
+from gelbot.field_report.sampling import grid, on_electrode, view
 from gelbot.field_report.words import NAMED, as_text, message
 from gelbot.record.run_store import RunStore
 from gelbot.record.whole_file import write_through
@@ -44,7 +57,8 @@ from gelbot.scenario import load
 from gelbot.scenario.build import electrode_array
 from gelbot.scenario.load import Loaded
 from gelbot.show.cuts import across, chained, cut, silhouette, surface_cut
-from gelbot.show.field_table import ALL_UP_TO, LARGEST, electrode_table
+from gelbot.show.field_map import Section
+from gelbot.show.field_table import ALL_UP_TO, LARGEST, electrode_table, print_field
 from gelbot.show.outlines import Outline
 
 runner = CliRunner()
@@ -187,13 +201,19 @@ def test_messages_name_the_worst_and_count_the_rest():
         "current": ("12 A", "10 A", "supply.current_limit"),
         "panels": ("12", "10", "electrodes.panels"),
         "error": ("1.2e+03 %", "1e+03 %", "electrodes.panels"),
+        "idle": ("12 V", "no current flows"),
     }.items():
-        assert all(part in message(Excess(kind, 12.0, 10.0, (0,)), names) for part in parts), kind
+        assert all(part in message(Excess(kind, 12.0, 10.0, (0, 1)), names) for part in parts), kind
+    assert "1.04 %, more than 1 %" in message(Excess("error", 0.0104, 0.01), names)
+    assert "electrode 3 alone" in message(Excess("idle", 12.0, 0.0, (3,)), names)
 
 
 def test_warnings_of_a_report(folder: Path, report: dict[str, Any]):
-    (bubbling,) = report["warnings"]
-    assert bubbling["kind"] == "bubbling"
+    bubbling, error = report["warnings"]
+    assert (bubbling["kind"], error["kind"]) == ("bubbling", "error")
+    # 4 panels a side cannot be halved.
+    assert report["error_estimate_with"] == "twice"
+    assert error["message"].startswith("with twice as many panels along a side")
     assert bubbling["threshold"] == 100.0
     assert bubbling["value"] == pytest.approx(np.abs(report["mean_current_density_A_m2"]).max())
     assert 1 not in bubbling["electrodes"]
@@ -287,7 +307,87 @@ def test_pictures(folder: Path, report: dict[str, Any]):
 def test_without_current_there_is_a_picture_too(tmp_path: Path):
     report = report_field(small(), Request(template="off", planes=("z=1mm",)), tmp_path / "out", progress=False)
     assert report["total_current_A"] == 0.0
-    assert (tmp_path / "out" / "plane-z1mm.png").stat().st_size > 10_000
+    assert [warning["kind"] for warning in report["warnings"]] == ["error", "idle"]
+    picture = matplotlib.image.imread(tmp_path / "out" / "plane-z1mm.png")[:, :, :3]
+    height, width = picture.shape[:2]
+    assert np.median(picture[height // 4 : height // 2, width // 6 : width // 3], axis=(0, 1)).min() > 0.95
+
+
+def test_one_voltage_on_all_electrodes_drives_nothing(tmp_path: Path):
+    (tmp_path / "at.csv").write_text(POINTS)
+    request = Request(voltages="5 5 5 5", points=tmp_path / "at.csv", planes=("z=1mm",))
+    report = report_field(small(), request, tmp_path / "out", progress=False)
+    assert report["currents_A"] == [0.0] * 4
+    assert report["power_W"] == 0.0
+    assert report["warnings"][-1]["kind"] == "idle"
+    assert "one voltage, 5 V" in report["warnings"][-1]["message"]
+    lines = (tmp_path / "out" / "points.csv").read_text().splitlines()[1:]
+    assert all(line.endswith(",5.0,0.0,0.0,0.0") for line in lines)
+
+
+def test_one_electrode_alone(tmp_path: Path):
+    loaded = small("electrodes.rows=1", "electrodes.columns=1", "body.pose.position=['0 mm', '0 mm']")
+    report_field(loaded, Request(planes=("z=1mm",)), tmp_path / "out", progress=False)
+    report = json.loads((tmp_path / "out" / "field.json").read_text(), parse_constant=pytest.fail)
+    assert report["warnings"][-1]["kind"] == "idle"
+    assert report["currents_A"] == [0.0]
+    print_field(report, Console(quiet=True))
+
+
+def test_what_was_asked_is_kept(report: dict[str, Any], folder: Path):
+    assert report["asked"] == {
+        "voltages": None,
+        "template": None,
+        "amplitude": "4 V",
+        "planes": [],
+        "points": str(folder.parent / "at.csv"),
+        "gel_conductivity": "0.6 S/m",
+        "run": None,
+        "time": None,
+    }
+
+
+def test_a_plane_of_antisymmetry_has_no_field_in_it(tmp_path: Path):
+    request = Request(voltages="-5 -5 5 5", planes=("y=0 mm", "x=0mm"))
+    report_field(small(), request, tmp_path / "out", progress=False)
+    with xr.open_dataset(tmp_path / "out" / "field.nc") as data:
+        across_it, along = Section.of(data, 0), Section.of(data, 1)
+    assert np.all(across_it.potential == 0.0)
+    assert (across_it.flows, across_it.has_lines) == (True, False)
+    assert (along.flows, along.has_lines) == (True, True)
+
+
+def test_places_on_electrodes():
+    disc, block = Disc(10e-3), Block((2e-3, 4e-3, 6e-3))
+    upright = Electrode(disc, np.array([0.0, 0.0, 9e-3]), frame_of([1.0, 0.0, 0.0]))
+    array = ElectrodeArray((upright, Electrode(block, np.array([20e-3, 0.0, 9e-3]), np.eye(3))))
+    places = np.array(
+        [[0, 1, 11], [0, 0, 9], [0, 4, 11], [0, 0, 15], [1e-5, 0, 9], [21, 1, 10], [20, 0, 9], [20, 0, 12]]
+    )
+    expected = [True, True, True, False, False, True, False, True]
+    np.testing.assert_array_equal(on_electrode(places.T * 1e-3, panels_of(array, 6)), expected)
+
+
+def test_points_on_a_plate_have_no_current_density(tmp_path: Path):
+    (tmp_path / "at.csv").write_text("sample,x [mm],y [mm],z [mm],x_error [mm]\na,12.5,12.5,15,0\nb,12.5,12.5,14,?\n")
+    request = Request(points=tmp_path / "at.csv", planes=("z=20mm",))
+    report_field(small(), request, tmp_path / "out", progress=False)
+    lines = (tmp_path / "out" / "points.csv").read_text().splitlines()
+    on, below = ([float(cell) for cell in line.split(",")] for line in lines[1:])
+    assert on[3] == pytest.approx(-10.0, rel=0.1)
+    assert np.all(np.isnan(on[4:]))
+    assert np.all(np.isfinite(below))
+
+
+def test_who_stops_the_drawing_keeps_the_numbers(in_empty_folder: Path, monkeypatch: pytest.MonkeyPatch):
+    def stop(*_: object):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("gelbot.show.field_map.draw_plane", stop)
+    with pytest.raises(KeyboardInterrupt):
+        report_field(small(), Request(), Path("out"), progress=False)
+    assert sorted(path.name for path in Path("out").iterdir()) == ["field.json", "field.nc", "scenario.toml"]
+    assert json.loads(Path("out/field.json").read_text())["planes"] == []
 
 
 def test_a_file_is_whole_or_not_there(tmp_path: Path):
@@ -385,6 +485,7 @@ def test_the_body_and_voltages_of_a_run(tmp_path: Path):
             {
                 "faces": (("corner", "face"), start.faces),
                 "electrode_centre": (("space", "electrode"), array.centres),
+                "electrode_outline": (("space", "outline_corner", "electrode"), outlines(array)),
             }
         ),
     )
@@ -406,9 +507,12 @@ def test_the_body_and_voltages_of_a_run(tmp_path: Path):
     assert question.planes == [Plane(1, pytest.approx(12.5e-3)), Plane(2, pytest.approx(2.5e-3))]
     np.testing.assert_allclose(question.moment.positions[2], start.positions[2] + 2e-3)
     assert checked(loaded, Request(run=tmp_path)).moment.centre[2] == pytest.approx(4.5e-3)
+    floating = checked(small("electrodes.floating=[1]"), Request(run=tmp_path)).drive
+    np.testing.assert_allclose(floating.voltages, [5.0, 0.0, 6.0, -6.0])
     named = checked(loaded, Request(run=tmp_path, time="3", template="anode")).drive
     np.testing.assert_allclose(named.voltages, [-10.0, -10.0, -10.0, 10.0])
     for request, part in (
+        (Request(run=tmp_path, amplitude="2 V"), "--template"),
         (Request(run=tmp_path, time="4 s"), "0 s to 3 s"),
         (Request(run=tmp_path / "none"), "run folder"),
         (Request(time="1 s"), "--run"),
@@ -417,6 +521,8 @@ def test_the_body_and_voltages_of_a_run(tmp_path: Path):
             checked(loaded, request)
     with pytest.raises(BadInput, match="the electrodes of this scenario"):
         checked(small("electrodes.space='16 mm'"), Request(run=tmp_path))
+    with pytest.raises(BadInput, match="the electrodes of this scenario"):
+        checked(small("electrodes.side='9 mm'", "electrodes.space='16 mm'"), Request(run=tmp_path))
 
 
 # Cuts
@@ -483,14 +589,17 @@ def test_field_command(in_empty_folder: Path):
     [
         (["--voltages", "1,2,3"], ["'3 voltages'", "4 voltages, one for each electrode"]),
         (["--voltages", "1"], ["'1 voltage'"]),
+        (["--voltages", ""], ["--voltages: got ''", "commas"]),
+        (["--voltages", "1;2;3"], ["got '1;2;3'", "commas"]),
+        (["--voltages", "abc"], ["got 'abc'", "commas"]),
         (["--voltages", "1,2,,3"], ["--voltages, electrode 2", "got ''"]),
-        (["--voltages", "1,2,x,3"], ["--voltages, electrode 2", "'x'"]),
-        (["--voltages", "1,2,nan,3"], ["--voltages, electrode 2", "finite"]),
+        (["--voltages", "1,2,x,3"], ["--voltages, electrode 2", "'x'", "or a number in V"]),
+        (["--voltages", "1,2,nan,3"], ["--voltages, electrode 2", "got 'nan'", "finite"]),
         (["--voltages", "1,2,3 mm,3"], ["--voltages, electrode 2", "a voltage with its unit"]),
         (["--voltages", "1 2 3 4", "--template", "ridge"], ["--template", "nothing beside --voltages"]),
         (["--voltages", "1 2 3 4", "--amplitude", "1 V"], ["--amplitude"]),
         (["--voltages", "1 2 3 4", "--set", "electrodes.floating=[1]"], ["electrode 1", "not driven"]),
-        (["--template", "rigde"], ["--template", "'rigde'", "crossed-ridge"]),
+        (["--template", "rigde"], ["--template", "'rigde'", "crossed-ridge", "Try: ridge"]),
         (["--template", "ridge", "--amplitude", "1 m"], ["--amplitude"]),
         (["--plane", "1mm"], ["--plane", "x, y or z"]),
         (["--plane", "w=1mm"], ["--plane", "'w=1mm'"]),
@@ -501,6 +610,7 @@ def test_field_command(in_empty_folder: Path):
         (["--gel-conductivity", "0.4"], ["--gel-conductivity", "S/m"]),
         (["--gel-conductivity", "-1 S/m"], ["not negative"]),
         (["--points", "none.csv"], ["none.csv"]),
+        (["--out", "/proc/x"], ["--out", "a folder that can be written"]),
         (["--run", "none"], ["run folder"]),
         (["--time", "1 s"], ["--time", "--run"]),
         (["--set", "electrodes.panels=0"], ["electrodes.panels"]),

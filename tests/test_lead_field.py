@@ -49,8 +49,8 @@ class PointCharges:
     problem = SimpleNamespace(conductivity=0.15)
 
     def __init__(self) -> None:
-        across = -5 * MM * np.cos(np.pi * (np.arange(12) + 0.5) / 12)
-        plate = np.stack([*(g.ravel() for g in np.meshgrid(across, across)), np.full(144, 15 * MM)])
+        across = -5 * MM * np.cos(np.pi * (np.arange(10) + 0.5) / 10)
+        plate = np.stack([*(g.ravel() for g in np.meshgrid(across, across)), np.full(100, 15 * MM)])
         centres = [(0.0, 0.0), (25 * MM, 0.0), (0.0, 25 * MM), (25 * MM, 25 * MM)]
         above = np.stack([plate + np.array([[x], [y], [0.0]]) for x, y in centres])
         below = above * np.array([[1.0], [1.0], [-1.0]]) - np.array([[0.0], [0.0], [2 * MM]])
@@ -125,7 +125,8 @@ class TestAccuracy:
         assert found[points[2] < 4 * MM].max() < 1e-4
 
     def test_converges_with_the_third_order_up_to_the_edges_of_the_box(self, charges, points):
-        coarse, fine = (error(build_lead_field(charges, LOW, HIGH, h * MM), charges, points).max() for h in (1.5, 0.75))
+        errors = [error(build_lead_field(charges, LOW, HIGH, h * MM), charges, points) for h in (2, 1)]
+        coarse, fine = (np.sqrt(np.mean(found**2)) for found in errors)
         assert np.log2(coarse / fine) > 2.8
 
     def test_meets_the_sum_at_grid_points(self, lead, array_field, rng):
@@ -286,7 +287,7 @@ class TestDerivatives:
 
 
 class TestBatch:
-    @pytest.mark.parametrize("robots", [1, 11])
+    @pytest.mark.parametrize("robots", [1, 19])
     def test_equals_one_robot_after_the_other(self, lead, rng, robots):
         places = jnp.asarray(np.moveaxis(rng.uniform(LOW - 1 * MM, HIGH + 1 * MM, (37, robots, 3)), 2, 0))
         voltages = jnp.asarray(rng.uniform(-10, 10, (16, robots)))

@@ -227,7 +227,7 @@ class TestSigns:
 
     def test_current_enters_from_below_under_a_cathode(self, convex: Motion):
         experiment, model = convex.experiment, convex.experiment.model
-        above = np.argmin(np.linalg.norm(experiment.array.centres.T - experiment.scenario.body.pose.position, axis=1))
+        above = np.argmin(np.linalg.norm(experiment.array.centres[:2].T - experiment.scenario.body.pose.position, axis=1))
         assert np.asarray(convex.frames.voltages)[0, above] == -self.DRIVE
         inflow = np.asarray(surface_inflow(model, experiment.state.positions, convex.frames.voltages[0]))
         _, normals = face_geometry(experiment.state.positions, model.gel.faces)
@@ -293,9 +293,9 @@ def uniform_vertical(lead: LeadField) -> LeadField:
 
     The B-spline coefficients of a linear function are its values, one grid point further out on either side.
     """
-    nx, ny, nz = (int(n) + 3 for n in lead.cells)
-    z = float(lead.origin[2]) + float(lead.spacing) * (np.arange(nz) - 1)
-    return lead._replace(coefficients=jnp.asarray(np.broadcast_to(-z, (nx, ny, nz)).reshape(1, -1)))
+    shape = lead.coefficients.shape[1:]
+    z = float(lead.origin[2]) + float(lead.spacing[2]) * (np.arange(shape[2]) - 1)
+    return lead._replace(coefficients=jnp.asarray(np.broadcast_to(-z, shape)[None]))
 
 
 def steady(memory: Any, time: Any, observation: Any) -> tuple[Any, Any, Any]:

@@ -46,15 +46,16 @@ def count(*folders: str, name: str = "*.py") -> int:
     return max(1, sum(len(list((ROOT / folder).rglob(name))) for folder in folders))
 
 
-ALL_FILES = Seen(r"\.py$", count("src", "tests", "tools", "examples"), "files")
+FOLDERS = ("src", "tests", "tools", "examples", "benchmarks")
+ALL_FILES = Seen(r"\.py$", count(*FOLDERS), "files")
 PASSED = Seen(r"(\d+) passed", count("tests", name="test_*.py"), "tests")
 
 CHECKS = {
     "lint": (
-        Check("ruff check --show-files src tests tools examples", (ALL_FILES,)),
-        Check("ruff check src tests tools examples", (Seen("All checks passed", 1, "verdict on these files"),)),
+        Check(f"ruff check --show-files {' '.join(FOLDERS)}", (ALL_FILES,)),
+        Check(f"ruff check {' '.join(FOLDERS)}", (Seen("All checks passed", 1, "verdict on these files"),)),
         Check(
-            "ruff format --check src tests tools examples",
+            f"ruff format --check {' '.join(FOLDERS)}",
             (ALL_FILES._replace(pattern=r"(\d+) files? already formatted"),),
         ),
         Check("basedpyright --stats", (ALL_FILES._replace(pattern=r"Total files checked: (\d+)"),)),

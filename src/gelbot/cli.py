@@ -165,14 +165,15 @@ def field(
         loaded = load(scenario, changes or [])
         folder = _folder(out, "fields", loaded.scenario.name)
 
-        from gelbot.field_report.asked import Request
-        from gelbot.field_report.report import report_field
-
-        request = Request(voltages, template, amplitude, tuple(planes or ()), points, gel_conductivity, run, time)
         try:
+            from gelbot.field_report.asked import Request
+            from gelbot.field_report.report import report_field
+
+            request = Request(voltages, template, amplitude, tuple(planes or ()), points, gel_conductivity, run, time)
             report = report_field(loaded, request, folder, progress=not as_json)
         except KeyboardInterrupt:
-            typer.echo("gelbot: stopped", err=True)
+            kept = f"; what was computed is kept in {folder}" if (folder / "field.json").exists() else ""
+            typer.echo(f"gelbot: stopped{kept}", err=True)
             sys.stderr.flush()
             os._exit(STOPPED)
     if as_json:

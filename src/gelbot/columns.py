@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
 from pathlib import Path
@@ -33,26 +34,29 @@ class Column(NamedTuple):
     header: str
 
 
-def read_columns(path: Path, needed: Mapping[str, str], optional: Mapping[str, str] | None = None) -> dict[str, list]:
+def read_columns(
+    path: Path, needed: Mapping[str, str], optional: Mapping[str, str] | None = None, passes_over: bool = False
+) -> dict[str, list]:
     """The columns of the CSV file `path`, by name, in SI.
 
     `needed` and `optional` hold for each column its SI unit: "m", "V"..., "" for plain numbers, "text" for words. A
     column of `optional` that the file does not have is not in the result, and an empty cell of one is None. The column
-    "line" holds the lines' numbers in the file. Raises `BadInput` that names the file and the line, what stands there
-    and what is allowed.
+    "line" holds the lines' numbers in the file. Columns of other names are an error, or are passed over. Raises
+    `BadInput` that names the file and the line, what stands there and what is allowed.
     """
     wanted = {**needed, **(optional or {})}
     rows = _rows(path)
     number, header = next(rows, (1, []))
-    columns = _columns(header, wanted, set(needed), f"{path}, header")
-    found: dict[str, list] = {LINE: [], **{column.name: [] for column in columns}}
+    columns = _columns(header, wanted, set(needed), f"{path}, header", passes_over)
+    found: dict[str, list] = {LINE: [], **{column.name: [] for column in columns if column is not None}}
     for number, row in rows:
         where = f"{path}, line {number}"
         if len(row) != len(columns):
             raise BadInput(where, f"{len(row)} cells", f"{len(columns)} cells, as many as the header has")
         found[LINE].append(number)
         for column, cell in zip(columns, row, strict=True):
-            found[column.name].append(_value(cell, column, column.name in needed, where))
+            if column is not None:
+                found[column.name].append(_value(cell, column, column.name in needed, where))
     if not found[LINE]:
         raise BadInput(str(path), "no line of values", "at least one line below the header")
     return found
@@ -84,9 +88,12 @@ def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
         yield number, [cell.strip() for cell in cells]
 
 
-def _columns(header: list[str], wanted: Mapping[str, str], needed: set[str], where: str) -> list[Column]:
-    columns = [_column(cell, wanted, where) for cell in header]
-    names = [column.name for column in columns]
+def _columns(
+    header: list[str], wanted: Mapping[str, str], needed: set[str], where: str, passes_over: bool
+) -> list[Column | None]:
+    """What each cell of the header means, None for a column that is passed over."""
+    columns = [None if passes_over and _is_other(cell, wanted) else _column(cell, wanted, where) for cell in header]
+    names = [column.name for column in columns if column is not None]
     for name in names:
         if names.count(name) > 1:
             raise BadInput(where, f"two columns {name}", "each column once")
@@ -94,6 +101,18 @@ def _columns(header: list[str], wanted: Mapping[str, str], needed: set[str], whe
         if name in needed and name not in names:
             raise BadInput(where, ", ".join(header), f"a column {_example(name, wanted[name])}")
     return columns
+
+
+def _is_other(cell: str, wanted: Mapping[str, str]) -> bool:
+    """Whether a header's cell names none of the columns: x [furlong] is an x with a wrong unit, x_error is another."""
+    name = re.split(r"[ \[(]", cell, maxsplit=1)[0]
+    if name in wanted:
+        return False
+    try:
+        _column(cell, wanted, "")
+    except BadInput:
+        return True
+    return False
 
 
 def _column(cell: str, wanted: Mapping[str, str], where: str) -> Column:

@@ -155,6 +155,7 @@ def static_part(experiment: Experiment, loaded: Loaded) -> xr.Dataset:
             "thickness": scenario.body.thickness,
             "time_step": scenario.simulation.time_step,
             "limit": scenario.supply.limit,
+            "table_error": experiment.table_error,
             "working_volume": [edge.tolist() for edge in working_volume(experiment.model.lead)],
             "status": "running",
             "machine": platform.platform(),

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, lu_factor, lu_solve
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from gelbot.errors import GelbotError
 from gelbot.field.electrodes import ElectrodeArray
@@ -31,6 +31,8 @@ from gelbot.field.panels import FEWEST, Panels, joined, panels_of
 
 Floats = NDArray[np.float64]
 
+MOST = 20_000
+"""Panels beyond which an estimate of the error is not worth its memory."""
 LIFT = 4.0
 """Constant added to the potentials, in means of their absolute values."""
 
@@ -156,7 +158,7 @@ def _solve_with_bodies(problem: FieldProblem) -> FieldSolution:
     members = _members(problem)
     asked = np.vstack([members * np.where(panels.active, scale, 0.0)[:, None], np.zeros((1, count))])
     try:
-        answer = lu_solve(lu_factor(system, overwrite_a=True, check_finite=False), asked, check_finite=False)
+        answer = np.asarray(np.linalg.solve(system, asked), float)
     except LinAlgError as error:
         raise SingularField(_closest(problem.array)) from error
     conductance = members.T @ answer[:q]
@@ -178,17 +180,22 @@ def _closest(array: ElectrodeArray) -> list[str]:
     return [array.electrodes[int(n)].name for n in dict.fromkeys(closest)]
 
 
-def error_estimate(solution: FieldSolution) -> float:
+def error_estimate(solution: FieldSolution) -> float | None:
     """Largest change of the conductance matrix, relative to its largest element, with half as many panels along a side.
 
     The error that is left is smaller: it falls with more than the second power of that number. Where half as many would
-    be fewer than a shape needs, the change with twice as many: then it is about the error itself.
+    be fewer than a shape needs, the change with twice as many: then it is about the error itself. None where those are
+    more than `MOST`; zero where no current can flow.
     """
     problem = solution.problem
     if np.any(problem.panels.owner < 0):
         raise ValueError("the estimate is made without a gel")
     fine = problem.panels_per_side
     other = fine // 2 if fine >= 2 * FEWEST else 2 * fine
+    largest = float(np.abs(solution.conductance).max())
+    if other > fine and 4 * problem.panels.count > MOST:
+        return None
+    if problem.array.count == 1:
+        return 0.0
     compared = build_problem(problem.array, problem.tank, problem.conductivity, other)
-    change = solve(compared).conductance - solution.conductance
-    return float(np.abs(change).max() / np.abs(solution.conductance).max())
+    return float(np.abs(solve(compared).conductance - solution.conductance).max()) / largest

@@ -26,7 +26,7 @@ Numbers: TypeAlias = NDArray[np.int64]
 
 NEAR = 2.0
 """Two panels are near when their distance is less than this many sums of their radii."""
-NEAR_POINT = 4.0
+NEAR_POINT = 6.0
 """A point is near a panel when its distance is less than this many of the panel's radii."""
 ORDER = 4
 """Gauss points along each side of a panel, over which near influences are averaged."""

@@ -17,7 +17,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from gelbot.field.electrodes import Block, Disc, Electrode, ElectrodeArray, Rectangle, Ring, Rod, Shape
+from gelbot.field.electrodes import Block, Disc, Electrode, ElectrodeArray, Rectangle, Ring, Rod
 
 GRADING = 3.5
 """Power of the partition; above 3 the edges are resolved as well as the middle."""
@@ -252,8 +252,3 @@ def _backing(front: Floats, thickness: float, rim_panels: int) -> Floats:
             lift = np.array([[0.0, 0.0, low], [0.0, 0.0, high]])
             strips.append(np.stack([p + lift[0], q + lift[0], q + lift[1], p + lift[1]]))
     return np.concatenate([front[:, ::-1] + down, np.stack(strips).transpose(2, 1, 0)], axis=2)
-
-
-def shape_panel_count(shape: Shape, per_side: int) -> int:
-    """How many panels a thin or solid electrode of this shape has, without a backing."""
-    return SURFACES[type(shape)](shape, per_side).shape[2]

@@ -29,7 +29,7 @@ Orders: TypeAlias = tuple[tuple[int, int, int], ...]
 IN_BOUNDS = lax.GatherScatterMode.PROMISE_IN_BOUNDS
 LANES = 4
 """Points that lie side by side in the table of coefficients: as many as double precision puts in a vector register."""
-TABLES = 8
+TABLES = 16
 """Tables worked on at once in a batch: enough to keep two threads busy, few enough for the processor's cache."""
 
 

@@ -16,7 +16,7 @@ from gelbot.field.images import Tank
 from gelbot.field_report.moment import Moment, plain_or_with_unit
 from gelbot.plan.templates import template
 from gelbot.scenario.schema import Scenario
-from gelbot.units import quantity, shown
+from gelbot.units import NUMBER, quantity, shown
 
 Floats = NDArray[np.float64]
 
@@ -65,9 +65,12 @@ def drive(request: Request, scenario: Scenario, array: ElectrodeArray, moment: M
                 raise BadInput(option, given, "nothing beside --voltages, which says everything")
         return Drive(_listed(request.voltages, array, driven), "voltages as given")
     if request.template is None and request.amplitude is None and moment.voltages is not None:
-        return Drive(moment.voltages, moment.source)
+        return Drive(moment.voltages * driven, moment.source)
+    if request.template is None and request.amplitude is not None and moment.voltages is not None:
+        allowed = "a --template that it multiplies: --run alone has the run's own voltages"
+        raise BadInput("--amplitude", request.amplitude, allowed)
     phase = scenario.programme.phases[0]
-    place = np.array(scenario.body.pose.position)
+    place = moment.centre[:2]
     if request.template is not None:
         pattern, source = template(request.template, array, place, "--template"), request.template
     elif phase.template is not None:
@@ -85,8 +88,11 @@ def drive(request: Request, scenario: Scenario, array: ElectrodeArray, moment: M
 def _listed(text: str, array: ElectrodeArray, driven: NDArray[np.bool_]) -> Floats:
     words = [word for part in text.split(",") for word in BEFORE_A_NUMBER.split(part.strip())]
     if len(words) != array.count:
-        one = "1 voltage" if len(words) == 1 else f"{len(words)} voltages"
-        raise BadInput("--voltages", one, f"{array.count} voltages, one for each electrode, in their order")
+        plain = len(words) > 1 or (NUMBER.match(text) is not None and ";" not in text)
+        given = f"{len(words)} {'voltage' if len(words) == 1 else 'voltages'}" if plain else text
+        allowed = f"{array.count} voltages, one for each electrode, in their order, with commas between them"
+        allowed += ", in volts or with units"
+        raise BadInput("--voltages", given, allowed)
     values = np.array([plain_or_with_unit(word, "V", f"--voltages, electrode {n}") for n, word in enumerate(words)])
     for n in np.flatnonzero(~driven & (values != 0.0)):
         allowed = "0 V: this electrode is not driven, so that the supply gives it no voltage"
@@ -124,8 +130,8 @@ def beyond(axis: int, value: float, tank: Tank) -> str:
 
 
 def points(path: Path, tank: Tank) -> Floats:
-    """The points of a CSV file with columns x, y and z [m], shape (3, p)."""
-    table = read_columns(path, {"x": "m", "y": "m", "z": "m"})
+    """The points of a CSV file with columns x, y and z [m], shape (3, p); it may have others beside them."""
+    table = read_columns(path, {"x": "m", "y": "m", "z": "m"}, passes_over=True)
     for line, *place in zip(table[LINE], table["x"], table["y"], table["z"], strict=True):
         for axis, value in enumerate(place):
             allowed = beyond(axis, value, tank)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from gelbot.body.lattice import build_body
 from gelbot.errors import BadInput
 from gelbot.field.electrodes import ElectrodeArray
+from gelbot.field.outlines import outlines
 from gelbot.record.run_store import open_run
 from gelbot.scenario.build import posed
 from gelbot.scenario.schema import Scenario
@@ -20,7 +21,7 @@ from gelbot.units import quantity, shown
 Floats = NDArray[np.float64]
 
 SAME = 1e-6
-"""Electrodes whose middles differ by less than this [m] stand in the same place."""
+"""Electrodes whose middles and corners differ by less than this [m] stand in the same place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +48,7 @@ def of_run(folder: Path, time: str | None, array: ElectrodeArray) -> Moment:
     run = open_run(folder if folder.suffix == ".zarr" else folder / "run.zarr")
     if run.sizes.get("time", 0) == 0:
         raise BadInput("--run", str(folder), "a run with at least one frame")
-    centres = run["electrode_centre"].transpose("space", "electrode").values
-    if centres.shape != array.centres.shape or np.abs(centres - array.centres).max() > SAME:
+    if not _has_electrodes(run, array):
         raise BadInput("--run", str(folder), "a run with the electrodes of this scenario")
     times = run["time"].values
     wanted = float(times[-1]) if time is None else plain_or_with_unit(time, "s", "--time")
@@ -64,8 +64,28 @@ def of_run(folder: Path, time: str | None, array: ElectrodeArray) -> Moment:
     )
 
 
+def _has_electrodes(run: xr.Dataset, array: ElectrodeArray) -> bool:
+    """Whether the electrodes of `run` are those of `array`; early runs know their middles only."""
+    stored = [(run["electrode_centre"].transpose("space", "electrode").values, array.centres)]
+    if "electrode_outline" in run:
+        corners = run["electrode_outline"].transpose("space", "outline_corner", "electrode").values
+        stored.append((corners, outlines(array)))
+    return all(
+        one.shape == other.shape and np.allclose(one, other, rtol=0.0, atol=SAME, equal_nan=True)
+        for one, other in stored
+    )
+
+
 def plain_or_with_unit(text: str, unit: str, where: str) -> float:
     """The value of `text` in the SI unit `unit`, in which a plain number is."""
-    with suppress(ValueError):
-        text = f"{float(text)!r} {unit}"
-    return quantity(text, unit, where)
+    try:
+        float(text)
+    except ValueError:
+        with_unit = text
+    else:
+        with_unit = f"{text} {unit}"
+    try:
+        return quantity(with_unit, unit, where)
+    except BadInput as error:
+        allowed = error.allowed.replace(", and finite", "") + f", or a number in {unit}"
+        raise BadInput(where, text, allowed + (", finite" if "finite" in error.allowed else "")) from error

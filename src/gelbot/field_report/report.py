@@ -22,7 +22,8 @@ from gelbot.field.operating_point import Limits, OperatingPoint, excesses, opera
 from gelbot.field_report.asked import Drive, Plane, Request, drive, gel_conductivity, planes, points
 from gelbot.field_report.dataset import field_dataset
 from gelbot.field_report.moment import Moment, at_start, of_run
-from gelbot.field_report.sampling import Sampled, field_at, sample, view
+from gelbot.field_report.sampling import Sampled, field_at, on_electrode, sample, view
+from gelbot.field_report.settled import idle, settled
 from gelbot.field_report.words import as_text, gel_numbers, numbers
 from gelbot.record.whole_file import write_text, write_through
 from gelbot.scenario.build import electrode_array, field_tank
@@ -57,24 +58,30 @@ def report_field(loaded: Loaded, request: Request, out: Path, progress: bool = T
     scenario, gel = loaded.scenario, question.gel_conductivity
     with Console(stderr=True, quiet=not progress).status("solving the field") as status:
         field = _solved(loaded, question)
-        undisturbed = operating_point(field, question.drive.voltages, scenario.electrodes.states)
+        undisturbed = settled(operating_point(field, question.drive.voltages, scenario.electrodes.states))
         point = undisturbed if gel is None else _with_gel(loaded, question, gel)
         error = error_estimate(field)
+        if error is not None and not np.isfinite(error):
+            error = None  # one electrode alone has no conductance
         sampled, values = _sampled(question, point, status.update)
         limits = Limits(scenario.supply.limit, scenario.supply.current_limit, scenario.electrodes.bubbling)
         found = excesses(point, limits, question.moment.positions, error)
-        report = numbers(scenario, point, question.drive, question.moment, found, error)
+        found += idle(point)
+        report = numbers(scenario, request, point, question.drive, question.moment, found, error)
         if gel is not None:
             report["gel"] = gel_numbers(gel_effect(point, undisturbed), gel)
         data = field_dataset(scenario, point, question.drive, question.moment, sampled, gel)
 
         out.mkdir(parents=True, exist_ok=True)
-        write_text(out / SCENARIO, loaded.text)
         write_through(out / FIELD, lambda draft: data.to_netcdf(draft, engine="scipy", format="NETCDF3_64BIT"))
+        write_text(out / SCENARIO, loaded.text)
         if question.points is not None and values is not None:
             write_text(out / POINTS, _points_text(question.points, *values))
-        report["planes"] = _draw(data, sampled, out, status.update)
-        write_text(out / NUMBERS, as_text(report))
+        try:
+            _draw(data, sampled, out, status.update, report["planes"])
+        finally:
+            # Who stops the drawing has the numbers all the same, with the pictures that are there.
+            write_text(out / NUMBERS, as_text(report))
     return report
 
 
@@ -112,7 +119,7 @@ def _with_gel(loaded: Loaded, question: Question, conductivity: float) -> Operat
     sigma = scenario.solution.conductivity
     gel = gel_panels(moment.positions, moment.faces, conductivity, sigma)
     problem = build_problem(question.array, question.tank, sigma, scenario.electrodes.panels_used, gel)
-    return operating_point(solve(problem), question.drive.voltages, scenario.electrodes.states)
+    return settled(operating_point(solve(problem), question.drive.voltages, scenario.electrodes.states))
 
 
 def _sampled(question: Question, point: OperatingPoint, say: Say) -> tuple[list[Sampled], tuple[Floats, Floats] | None]:
@@ -125,7 +132,10 @@ def _sampled(question: Question, point: OperatingPoint, say: Say) -> tuple[list[
     if question.points is None:
         return sampled, None
     say(f"the field at {question.points.shape[1]} points")
-    return sampled, field_at(point, question.points)
+    potential, density = field_at(point, question.points)
+    # On a plate the current goes to both sides, and along its edge without bound.
+    density[:, on_electrode(question.points, point.solution.problem.panels)] = np.nan
+    return sampled, (potential, density)
 
 
 def _points_text(places: Floats, potential: Floats, density: Floats) -> str:
@@ -136,14 +146,12 @@ def _points_text(places: Floats, potential: Floats, density: Floats) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _draw(data: xr.Dataset, sampled: list[Sampled], out: Path, say: Say) -> list[dict[str, Any]]:
-    """Pictures of all planes; their files' names."""
+def _draw(data: xr.Dataset, sampled: list[Sampled], out: Path, say: Say, drawn: list[dict[str, Any]]) -> None:
+    """Pictures of all planes; `drawn` gets their files' names, plane by plane."""
     from gelbot.show.field_map import draw_plane
 
-    drawn = []
     for k, plane in enumerate(s.plane for s in sampled):
         say(f"drawing {plane}")
         name = f"plane-{'xyz'[plane.axis]}{plane.value * 1e3:g}mm"
         files = draw_plane(data, k, [out / f"{name}.png", out / f"{name}.pdf"])
         drawn.append({"plane": str(plane), "pictures": [file.name for file in files]})
-    return drawn

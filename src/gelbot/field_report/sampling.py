@@ -6,11 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from gelbot.field.electrodes import ElectrodeArray
 from gelbot.field.images import Tank
 from gelbot.field.operating_point import OperatingPoint
+from gelbot.field.panels import Panels
 from gelbot.field_report.asked import Plane
+from gelbot.field_report.settled import flows, without_rounding
 
 Floats = NDArray[np.float64]
 
@@ -20,6 +23,8 @@ PAIRS = 3e8
 """Pairs of points and panels, mirror images counted, above which a grid has fewer points: that costs seconds."""
 FEWEST = 24
 """Points of a grid in each direction, at least."""
+TOUCHES = 1e-9
+"""What is nearer to a panel than this [m] lies on it."""
 MARGIN = 0.12
 """Room around electrodes and body, as a share of their breadth."""
 
@@ -72,6 +77,26 @@ def sample(point: OperatingPoint, plane: Plane, low: Floats, high: Floats) -> Sa
     return Sampled(plane, u, v, potential.reshape(len(v), len(u)), density.reshape(3, len(v), len(u)))
 
 
+def on_electrode(places: Floats, panels: Panels) -> NDArray[np.bool_]:
+    """Which of `places` (3, p) [m] lie on an electrode: within `TOUCHES` of one of its panels; shape (p,)."""
+    found = np.zeros(places.shape[1], bool)
+    near = cKDTree(places.T).query_ball_point(panels.centre.T, panels.radius + TOUCHES)
+    for n in np.flatnonzero(panels.owner >= 0):
+        if not near[n]:
+            continue
+        x, y, height = panels.frame[:, :, n].T @ (places[:, near[n]] - panels.centre[:, n, None])
+        corner = panels.outline[:, :, n]
+        edge = np.roll(corner, -1, axis=1) - corner
+        # Corners go round anticlockwise: what is inside is to the left of all edges.
+        left = edge[0] * (y[:, None] - corner[1]) - edge[1] * (x[:, None] - corner[0])
+        inside = np.all(left >= -TOUCHES * np.linalg.norm(edge, axis=0), axis=1)
+        found[near[n]] |= inside & (np.abs(height) <= TOUCHES)
+    return found
+
+
 def field_at(point: OperatingPoint, points: Floats) -> tuple[Floats, Floats]:
     """Potential (p,) [V] and current density (3, p) [A/m^2] at `points` (3, p) [m]."""
-    return point.potential(points), point.current_density(points)
+    largest = float(np.abs(point.voltages).max())
+    if not flows(point.voltages):
+        return np.full(points.shape[1], point.voltages[0]), np.zeros_like(points)
+    return without_rounding(point.potential(points), largest), point.current_density(points)

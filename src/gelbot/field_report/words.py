@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import json
+import math
 import re
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from gelbot import __version__
 from gelbot.field.gel_effect import GelEffect
 from gelbot.field.operating_point import BUBBLING, CURRENT, ERROR, PANELS, VOLTAGE, Excess, OperatingPoint
-from gelbot.field_report.asked import Drive
+from gelbot.field.panels import FEWEST
+from gelbot.field_report.asked import Drive, Request
 from gelbot.field_report.moment import Moment
+from gelbot.field_report.settled import IDLE, without_rounding
 from gelbot.scenario.schema import Scenario
 
 NAMED = 4
@@ -20,6 +26,7 @@ FLAT_LIST = re.compile(r"\[\n\s+([^\[\]{}]*?)\n\s*\]")
 
 def numbers(
     scenario: Scenario,
+    request: Request,
     point: OperatingPoint,
     drive: Drive,
     moment: Moment,
@@ -27,10 +34,12 @@ def numbers(
     error: float | None,
 ) -> dict[str, Any]:
     """Plain numbers with their unit in the name; lists have one entry for each electrode."""
-    problem = point.solution.problem
+    problem, most = point.solution.problem, abs(point.voltages).max()
+    compared = compared_with(problem.panels_per_side)
     names = [electrode.name for electrode in problem.array.electrodes]
     return {
         "name": scenario.name,
+        "asked": {key: _as_given(value) for key, value in request._asdict().items()},
         "drive": drive.source,
         "body": moment.source,
         "names": names,
@@ -41,18 +50,19 @@ def numbers(
         "mean_current_density_A_m2": point.mean_density.tolist(),
         "total_current_A": point.total_current,
         "net_current_A": point.net_current,
-        "power_W": point.power,
-        "bulk_potential_V": point.bulk_potential,
+        "power_W": point.power if point.total_current > 0.0 else 0.0,
+        "bulk_potential_V": float(without_rounding(np.array(point.bulk_potential), most)),
         "conductance_S": point.solution.conductance.tolist(),
         "conductivity_S_m": problem.conductivity,
         "error_estimate": error,
+        "error_estimate_with": compared,
         "asymmetry": point.solution.asymmetry,
         "panels": problem.panels.count,
         "panels_per_side": problem.panels_per_side,
         "warnings": [
             {
                 "kind": excess.kind,
-                "message": message(excess, names),
+                "message": message(excess, names, compared),
                 "value": excess.value,
                 "threshold": excess.threshold,
                 "electrodes": list(excess.electrodes),
@@ -77,8 +87,13 @@ def gel_numbers(effect: GelEffect, conductivity: float) -> dict[str, Any]:
     }
 
 
-def message(excess: Excess, names: list[str]) -> str:
-    """What an excess means, with its numbers and what to do."""
+def compared_with(per_side: int) -> str:
+    """With how many panels along a side `error_estimate` compares `per_side` of them: "half" as many, or "twice"."""
+    return "half" if per_side >= 2 * FEWEST else "twice"
+
+
+def message(excess: Excess, names: list[str], compared: str = "half") -> str:
+    """What an excess means, with its numbers and what to do; `compared`: what `compared_with` says."""
     value, threshold, who = excess.value, excess.threshold, _named(excess, names)
     if excess.kind == VOLTAGE:
         return f"{who}: {value:.4g} V asked, the supply gives {threshold:.4g} V either way (supply.limit)"
@@ -96,9 +111,13 @@ def message(excess: Excess, names: list[str]) -> str:
         )
     if excess.kind == ERROR:
         return (
-            f"the conductances change by {value * 100.0:.2g} % between half the panels and all, more than "
-            f"{threshold * 100.0:.2g} %. Try: more electrodes.panels"
+            f"with {compared} as many panels along a side the conductances change by {value * 100.0:.3g} %, more than "
+            f"{threshold * 100.0:.3g} %. Try: more electrodes.panels"
         )
+    if excess.kind == IDLE:
+        if len(excess.electrodes) == 1:
+            return f"no current flows: {who} alone is connected. Try: another electrode, driven or grounded"
+        return f"no current flows: all driven electrodes have one voltage, {value:.4g} V. Try: voltages that differ"
     raise ValueError(excess.kind)
 
 
@@ -109,6 +128,18 @@ def _named(excess: Excess, names: list[str]) -> str:
 
 
 def as_text(value: dict[str, Any]) -> str:
-    """`value` as JSON, lists of plain values on one line each."""
-    text = json.dumps(value, indent=2)
+    """`value` as JSON, lists of plain values on one line each; what is not finite is null."""
+    text = json.dumps(_finite(value), indent=2, allow_nan=False)
     return FLAT_LIST.sub(lambda found: "[" + re.sub(r",\n\s+", ", ", found[1]) + "]", text) + "\n"
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _as_given(option: Any) -> Any:
+    return list(option) if isinstance(option, tuple) else str(option) if isinstance(option, Path) else option

@@ -6,6 +6,8 @@ cathode, towards which the current rises through the gel.
 
 from __future__ import annotations
 
+from difflib import get_close_matches
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -48,5 +50,5 @@ def template(
     if name == "off":
         return np.zeros(array.count)
     if name not in minus:
-        raise BadInput(where, name, "one of " + ", ".join(TEMPLATES))
+        raise BadInput(where, name, "one of " + ", ".join(TEMPLATES), "".join(get_close_matches(name, TEMPLATES, 1)))
     return np.where(minus[name], -1.0, 1.0)

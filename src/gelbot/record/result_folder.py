@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from gelbot.errors import BadInput
 
@@ -27,7 +28,7 @@ def free_folder(base: Path, name: str) -> Path:
 
 
 def checked_folder(folder: Path) -> Path:
-    """`folder`, to which results can be written; it need not exist yet. Raises `BadInput` otherwise; writes nothing."""
+    """`folder`, to which results can be written; it need not exist yet. Raises `BadInput` otherwise; leaves nothing."""
     allowed = "a folder that does not exist yet, or one without a run or a field in it"
     try:
         held = _held(folder)
@@ -38,11 +39,19 @@ def checked_folder(folder: Path) -> Path:
             nearest = nearest.parent
         if not nearest.is_dir():
             raise BadInput("--out", str(folder), allowed, f"another --out: {nearest} is no folder")
-        if not os.access(nearest, os.W_OK | os.X_OK):
-            raise BadInput("--out", str(folder), "a folder that can be written", f"another --out, outside {nearest}")
+        _try_to_write(folder, nearest)
     except OSError as error:
         raise BadInput("--out", str(folder), f"{allowed} ({error.strerror})") from error
     return folder
+
+
+def _try_to_write(folder: Path, nearest: Path) -> None:
+    """Raise `BadInput` unless a folder can be made in `nearest`: rights alone do not tell, such as in /proc."""
+    try:
+        TemporaryDirectory(prefix=".gelbot-", dir=nearest).cleanup()
+    except OSError as error:
+        advice = f"another --out, outside {nearest}"
+        raise BadInput("--out", str(folder), "a folder that can be written", advice) from error
 
 
 def _exists(path: Path) -> bool:

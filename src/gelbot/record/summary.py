@@ -41,7 +41,8 @@ def summarise(run: xr.Dataset, wall_s: float | None, compile_s: float | None) ->
     phase 1; the transition ends when the normal's z first falls below -0.8; `stayed_over_s` is the length of the final
     stretch in which it stays there; the charge is the time integral of half the sum of the electrodes' |currents|.
     `left_working_volume_s` is when the body first left the box in which the field is tabulated: from then on it is
-    taken from the box's nearest point. Frames that are not finite do not count.
+    taken from the box's nearest point. `field_table_error` is that of the table on the body's faces at the start,
+    relative to the largest current density there. Frames that are not finite do not count.
     """
     names = {
         "scenario": run.attrs.get("scenario_name"),
@@ -49,6 +50,7 @@ def summarise(run: xr.Dataset, wall_s: float | None, compile_s: float | None) ->
         "precision": run.attrs.get("precision"),
         "wall_s": wall_s,
         "compile_s": compile_s,
+        "field_table_error": run.attrs.get("table_error"),
     }
     if "centre" in run:
         run = run.isel(time=np.flatnonzero(np.isfinite(_values(run, "centre")).all(axis=1)))

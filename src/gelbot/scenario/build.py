@@ -17,7 +17,7 @@ from gelbot.field.circuit import connection
 from gelbot.field.electrodes import ElectrodeArray
 from gelbot.field.gel import disturbance, gel_panels
 from gelbot.field.images import Tank
-from gelbot.field.lead_field import build_lead_field
+from gelbot.field.lead_field import build_lead_field, table_error
 from gelbot.mechanics.implicit import Mechanics
 from gelbot.mechanics.medium import net_weight
 from gelbot.mechanics.springs import node_springs, spring_stiffness
@@ -26,14 +26,12 @@ from gelbot.plan.trajectory import rise
 from gelbot.points import essential_points
 from gelbot.scenario.placement import mounted
 from gelbot.scenario.schema import Scenario
-from gelbot.simulate import Gel, Model, State, start
+from gelbot.simulate import Gel, Model, State, face_geometry, start
 
 WORKING_REACH = 2.2
 """The lead field is tabulated this many reaches of the body around its place, about as far as it can roll."""
-GRID_SPACING = 1e-3
-"""Grid of the lead field [m]: keeps its error below 1e-3 of the largest current density, 3 mm below the plates."""
 HEADROOM = 3e-3
-"""The table ends this far [m] below the plates: nearer, their edges would need a finer grid."""
+"""The table ends this far [m] below the plates, where there is room: nearer, their edges would need a finer grid."""
 CONTACT_LAYER = 0.01
 """Share of the thickness within which the floor's force builds up, and by which the whole weight on a node sinks in."""
 STICK_SPEED = 2e-6
@@ -47,6 +45,7 @@ class Experiment:
     """A scenario made ready: `model`, first `state`, `programme`, and what they were made of.
 
     `connection`, shape (e, e), takes the voltages asked for to those that the electrodes have (`field.circuit`).
+    `table_error`: of the lead field's table on the body's faces at the start, relative to the largest current density.
     """
 
     scenario: Scenario
@@ -54,6 +53,7 @@ class Experiment:
     array: ElectrodeArray
     field: FieldSolution
     connection: NDArray[np.float64]
+    table_error: float
     model: Model
     state: State
     programme: Programme
@@ -72,11 +72,13 @@ def build(scenario: Scenario) -> Experiment:
             lambda a: jnp.asarray(a, dtype if jnp.issubdtype(jnp.result_type(a), jnp.floating) else None), tree
         )
 
-    model = cast(build_model(scenario, body, field, connected))
-    positions = cast(posed(scenario, body))
+    model = build_model(scenario, body, field, connected)
+    positions = posed(scenario, body)
+    error = table_error(model.lead, field, face_geometry(jnp.asarray(positions), model.gel.faces)[0], connected)
+    model, positions = cast(model), cast(positions)
     state = start(model, positions)
     programme = cast(build_programme(scenario, array))
-    return Experiment(scenario, body, array, field, connected, model, state, programme)
+    return Experiment(scenario, body, array, field, connected, error, model, state, programme)
 
 
 def electrode_array(scenario: Scenario) -> ElectrodeArray:
@@ -127,7 +129,7 @@ def build_model(scenario: Scenario, body: Body, field: FieldSolution, connected:
         adsorption_step=jnp.asarray(material.adsorption_step),
     )
     low, high = working_box(scenario, body, field.problem.array)
-    lead = build_lead_field(field, low, high, GRID_SPACING, connected)
+    lead = build_lead_field(field, low, high, scenario.simulation.field_spacing, connected)
     return Model(gel, build_mechanics(scenario, body), lead, essential_points(body))
 
 
@@ -137,11 +139,17 @@ def working_box(
     """Lowest and highest corner [m], shape (3,) each, of the box in which the lead field is tabulated."""
     place, reach = np.array(scenario.body.pose.position), WORKING_REACH * body.outline.reach
     top = scenario.body.pose.lift + body.thickness
-    overhead = [low for low in (float(e.bounds[0][2]) for e in array.electrodes) if low > top]
-    # Electrodes beside or below the body do not bound it: it may roll as high as it may roll far.
-    free = min(scenario.tank.depth or np.inf, top + reach)
-    ceiling = max(min(overhead) - HEADROOM if overhead else free, body.thickness)
-    return np.array([*(place - reach), 0.0]), np.array([*(place + reach), ceiling])
+    low, high = place - reach, place + reach
+    # Only electrodes over the box bound it; without them the body may roll as high as it may roll far.
+    over = [
+        e.bounds[0][2] for e in array.electrodes if np.all(e.bounds[0][:2] < high) and np.all(e.bounds[1][:2] > low)
+    ]
+    lowest = min((float(z) for z in over if z > top), default=None)
+    if lowest is None:
+        ceiling = min(scenario.tank.depth or np.inf, top + reach)
+    else:
+        ceiling = lowest - min(HEADROOM, (lowest - top) / 4.0)
+    return np.array([*low, 0.0]), np.array([*high, ceiling])
 
 
 def build_mechanics(scenario: Scenario, body: Body) -> Mechanics:

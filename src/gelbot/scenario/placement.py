@@ -52,12 +52,15 @@ class Boundary(NamedTuple):
 
 
 def boundaries(tank: Tank) -> Iterator[Boundary]:
-    """Floor, surface and walls of `tank`, with the keys that place them."""
-    yield Boundary("tank.floor_depth", 2, -1, -tank.floor_depth)
-    if tank.depth is not None:
+    """Floor, surface and walls of `tank` that are not open, with the keys that place them."""
+    if "floor" not in tank.open:
+        yield Boundary("tank.floor_depth", 2, -1, -tank.floor_depth)
+    if tank.depth is not None and "surface" not in tank.open:
         yield Boundary("tank.depth", 2, 1, tank.depth)
     for axis, size in enumerate(tank.size or ()):
-        yield from (Boundary("tank.size", axis, sign, sign * size / 2.0) for sign in (-1, 1))
+        for sign, name in ((-1, "-"), (1, "+")):
+            if name + "xy"[axis] not in tank.open:
+                yield Boundary("tank.size", axis, sign, sign * size / 2.0)
 
 
 def mounted(array: ElectrodeArray, tank: Tank) -> ElectrodeArray:

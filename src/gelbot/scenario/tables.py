@@ -194,13 +194,17 @@ class Programme(Table):
 
 
 class Simulation(Table):
-    """How it is computed: `duration` and `time_step` [s]; residual `tolerance` of the implicit step."""
+    """How it is computed: `duration` and `time_step` [s]; residual `tolerance` of the implicit step.
+
+    `field_spacing` [m]: cells of the table from which the body reads the field.
+    """
 
     duration: Time
     time_step: Time
     tolerance: Annotated[float, Number(gt=0, lt=1)]
     max_iterations: Annotated[int, Count(ge=1)]
     precision: Literal["float64", "float32"]
+    field_spacing: Annotated[float, Dimension("m", ge=1e-4, le=5e-3)] = 1e-3
 
 
 class Recording(Table):

@@ -34,6 +34,8 @@ LINES = 3.0
 """Density of the streamlines, both ways together."""
 LEVELS = 26
 """Most steps of potential from one contour to the next."""
+ALONG = 1e-6
+"""A current along the plane that is nowhere more than this share of the largest one is rounding."""
 STEPS = [1.0, 2.0, 5.0, 10.0]
 DENSITY_MAP = matplotlib.colormaps["viridis"]
 
@@ -69,9 +71,20 @@ class Section(NamedTuple):
         )
 
     @property
-    def is_uniform(self) -> bool:
-        """One potential everywhere, but for rounding: no current flows."""
-        return bool(np.ptp(self.potential) <= 1e-9 * np.abs(self.potential).max())
+    def size(self) -> Floats:
+        """|i| [A/m^2], shape (v, u)."""
+        return np.linalg.norm(self.density, axis=0)
+
+    @property
+    def flows(self) -> bool:
+        """Whether there is any current."""
+        return bool(self.size.max() > 0.0)
+
+    @property
+    def has_lines(self) -> bool:
+        """Whether a current flows along the plane: else it has one potential, and contours would show rounding."""
+        along = np.linalg.norm(self.density[list(across(self.axis))], axis=0)
+        return bool(along.max() > ALONG * self.size.max())
 
 
 def draw_plane(data: xr.Dataset, number: int, paths: list[Path]) -> list[Path]:
@@ -94,10 +107,11 @@ def draw_plane(data: xr.Dataset, number: int, paths: list[Path]) -> list[Path]:
         beyond = {"low": "min", "high": "max", "low high": "both"}.get(_beyond(section, amperes), "neither")
         bar = figure.colorbar(amperes, bars[1], orientation=upright, label=labels[1], extend=beyond)
         low, high = amperes.get_clim()
-        bar.locator = MaxNLocator(5, steps=STEPS) if high < 5.0 * low else LogLocator(subs=(1.0, 2.0, 5.0))
+        is_narrow = high < 5.0 * low or not section.flows
+        bar.locator = MaxNLocator(5, steps=STEPS) if is_narrow else LogLocator(subs=(1.0, 2.0, 5.0))
         bar.formatter, bar.minorlocator = FuncFormatter(lambda x, _: f"{x:g}"), NullLocator()
         for axes in maps:
-            draw_scene(axes, data, section.axis, section.value, _volts(section))
+            draw_scene(axes, data, section.axis, section.value, _volts(data))
         return [save(figure, path) for path in paths]
 
 
@@ -129,18 +143,17 @@ def _frame(axes: Axes, section: Section, title: str, named: bool) -> None:
     axes.spines[:].set(visible=True, color=FAINT)
 
 
-def _draw_potential(axes: Axes, section: Section, data: xr.Dataset) -> ContourSet:
-    """Filled contours, white at 0 V, each second one with its value."""
+def _draw_potential(axes: Axes, section: Section, data: xr.Dataset) -> ContourSet | QuadMesh:
+    """Filled contours, white at 0 V, each second one with its value; one colour where there is one potential."""
     u, v, potential = section.u, section.v, section.potential
+    if not section.has_lines:
+        corners = np.full((2, 2), potential.mean())
+        return axes.pcolormesh(u[[0, -1]], v[[0, -1]], corners, cmap=VOLTAGE_MAP, norm=_volts(data), shading="gouraud")
     low, high = float(potential.min()), float(potential.max())
-    if section.is_uniform:
-        low, high = low - 0.5, high + 0.5
     levels = MaxNLocator(LEVELS, steps=[1.0, 2.0, 2.5, 5.0, 10.0]).tick_values(low, high)
-    filled = axes.contourf(u, v, potential, levels=levels, cmap=VOLTAGE_MAP, norm=_volts(section))
+    filled = axes.contourf(u, v, potential, levels=levels, cmap=VOLTAGE_MAP, norm=_volts(data))
     # No white hairlines between the areas, in viewers that smooth their edges.
     filled.set_edgecolor("face")
-    if section.is_uniform:
-        return filled
     lines = axes.contour(u, v, potential, levels=levels, colors=INK, linewidths=0.4, linestyles="solid")
     step = levels[1] - levels[0]
     even = [level for level in levels if round(level / step) % 2 == 0]
@@ -149,19 +162,21 @@ def _draw_potential(axes: Axes, section: Section, data: xr.Dataset) -> ContourSe
     return filled
 
 
-def _volts(section: Section) -> Normalize:
-    most = max(float(np.abs(section.potential).max()), 1e-9)
+def _volts(data: xr.Dataset) -> Normalize:
+    """The scale of the colours of field and plates, the same in all planes; 0 V is in its middle."""
+    most = float(np.abs(data["electrode_potential"].values).max()) or 1.0
     return Normalize(-most, most, clip=True)
 
 
 def _draw_density(axes: Axes, section: Section) -> QuadMesh:
     """Its size in colours, on a logarithmic scale; lines along the part of it that lies in the plane."""
-    size = _size(section)
-    low, high = (1.0, 10.0) if section.is_uniform else np.percentile(size, [OUTLIERS, 100.0 - OUTLIERS])
-    norm = LogNorm(max(low, high / DEEPEST), max(high, 1.001 * low))
+    size, norm = section.size, Normalize(0.0, 1.0)
+    if section.flows:
+        low, high = np.percentile(size, [OUTLIERS, 100.0 - OUTLIERS])
+        norm = LogNorm(max(low, high / DEEPEST), max(high, 1.001 * low))
     mesh = axes.pcolormesh(section.u, section.v, size, cmap=DENSITY_MAP, norm=norm, shading="gouraud")
     mesh.set_rasterized(True)
-    if not section.is_uniform:
+    if section.has_lines:
         right, up = (section.density[a] for a in across(section.axis))
         span = np.array([np.ptp(section.u), np.ptp(section.v)])
         lines: Any = tuple(LINES * span / span.sum())  # annotated as one number in matplotlib, where it may be two
@@ -172,10 +187,5 @@ def _draw_density(axes: Axes, section: Section) -> QuadMesh:
 
 def _beyond(section: Section, mesh: QuadMesh) -> str:
     """On which sides values are beyond the colours."""
-    size, (low, high) = _size(section), mesh.get_clim()
+    size, (low, high) = section.size, mesh.get_clim()
     return " ".join(name for name, there in (("low", size.min() < low), ("high", size.max() > high)) if there)
-
-
-def _size(section: Section) -> Floats:
-    """|i| [A/m^2], shape (v, u)."""
-    return np.linalg.norm(section.density, axis=0)

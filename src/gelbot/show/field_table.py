@@ -49,10 +49,12 @@ def print_field(report: Mapping[str, Any], console: Console | None = None) -> No
     )
     error, gel = report["error_estimate"], report["gel"]
     change = (
-        "too few to compare with half of them" if error is None else f"with half as many currents change by {error:.1%}"
+        "how far they are from the truth is not known"
+        if error is None
+        else f"with {report['error_estimate_with']} as many along a side conductances change by {error:.2%}"
     )
     lines.append(f"{report['panels']} panels; {change}")
-    if gel is not None:
+    if gel is not None and report["total_current_A"] > 0.0:
         lines.append(
             f"a gel of {gel['conductivity_S_m']:.4g} S/m changes the current into it by "
             f"{gel['relative_change_rms']:.1%} (rms; at most {gel['relative_change_max']:.1%} of the largest), "

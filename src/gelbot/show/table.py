@@ -9,6 +9,8 @@ from rich.console import Console
 from rich.table import Table
 
 NONE = "-"
+TABLE_COARSE = 0.01
+"""An error of the field's table above this is said."""
 
 
 def comparison_table(summary: Mapping[str, Any]) -> Table:
@@ -52,6 +54,12 @@ def print_summary(summary: Mapping[str, Any], console: Console | None = None) ->
         lines += (
             f"from {left:.1f} s on a part of the body was so far from its start, or so near the electrodes, that its "
             "field was taken from the nearest place where it had been tabulated",
+        )
+    error = summary.get("field_table_error")
+    if error is not None and error > TABLE_COARSE:
+        lines += (
+            f"the field on the body's faces is read from a table that is off by {100.0 * error:.2g} %: electrodes are "
+            "near, or the body lies on a boundary. Try: a smaller simulation.field_spacing",
         )
     for line in lines:
         console.print(line, highlight=False, markup=False)
