@@ -1,7 +1,6 @@
 """The command line: what it says, where, with which exit code, and that bad input writes nothing."""
 
 import json
-import os
 import subprocess
 import sys
 import types
@@ -131,12 +130,11 @@ def test_out_that_cannot_be_a_folder_is_refused(runs: list[dict[str, Any]]):
 
 def test_forbidden_places_are_refused(runs: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch):
     # Nothing is forbidden to root, so the system's answers are played.
-    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    def denied(*place: object, **_: object):
+        raise PermissionError(13, "Permission denied", str(place[0]) if place else None)
+
+    monkeypatch.setattr("gelbot.record.result_folder.TemporaryDirectory", denied)
     assert "can be written" in refused("run", "dome", "--out", "closed/out")
-
-    def denied(path: Path, mode: str):
-        raise PermissionError(13, "Permission denied", str(path))
-
     monkeypatch.setattr(Path, "open", denied)
     assert "Permission denied" in refused("run", "secret.toml")
     assert not runs

@@ -227,7 +227,8 @@ class TestSigns:
 
     def test_current_enters_from_below_under_a_cathode(self, convex: Motion):
         experiment, model = convex.experiment, convex.experiment.model
-        above = np.argmin(np.linalg.norm(experiment.array.centres[:2].T - experiment.scenario.body.pose.position, axis=1))
+        place = experiment.scenario.body.pose.position
+        above = np.argmin(np.linalg.norm(experiment.array.centres[:2].T - place, axis=1))
         assert np.asarray(convex.frames.voltages)[0, above] == -self.DRIVE
         inflow = np.asarray(surface_inflow(model, experiment.state.positions, convex.frames.voltages[0]))
         _, normals = face_geometry(experiment.state.positions, model.gel.faces)
