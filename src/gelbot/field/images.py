@@ -31,7 +31,7 @@ TOLERANCE = 1e-5
 """Error aimed at, relative to the potential of a source at the shortest distance of two parallel planes."""
 
 
-SMOOTHNESS = 0.25
+SMOOTHNESS = 0.15
 """Images nearer than this share of the width of sources or points are summed one by one,"""
 MOST_REFLECTIONS = 3
 """but no more than this many reflections along an axis."""
