@@ -262,7 +262,7 @@ MISTAKES = [
     (f'{DISCS}, places=[{{{AT}, name="north"}}, {{{BESIDE}}}], grounded=["nord"]', "grounded", "nord", "Try: north"),
     (f"{SQUARES}, grounded=[1], off=[1]", "off", "electrode 1", "already in grounded"),
     (f"{SQUARES}, grounded=[1, 1]", "grounded", "electrode 1", "already in grounded"),
-    (f"{SQUARES}, grounded=[0, 1, 2], off=[3, 4, 5]", "off", "the last electrodes", "left driven"),
+    (f"{SQUARES}, grounded=[0, 1, 2], off=[3, 4, 5]", "off", "all electrodes that were left", "stays driven"),
     # Files.
     (f'{FILE}, file="none.csv"', "file: none.csv", "no file", "No such file"),
     (f'{FILE}, file="plan.txt"', "file", "plan.txt", ".csv or .svg"),

@@ -125,7 +125,7 @@ class Electrodes(ShapeKeys):
         self._check_names()
         if "driven" not in self.states:
             last = [state for state in UNDRIVEN if getattr(self, state)][-1]
-            raise wrong(last, "the last electrodes that were driven", "at least one electrode that is left driven")
+            raise wrong(last, "all electrodes that were left", "at least one electrode that stays driven")
         total = panel_total(array, self.panels_used)
         if total > PANELS_MOST:
             allowed = f"at most {PANELS_MOST} panels in all: the charges are solved with a dense matrix"
