@@ -60,7 +60,7 @@ class FieldSolution:
 
     The currents that the electrodes feed into the tank are `conductance` @ voltages. `asymmetry` is how far that matrix
     was from its transpose, relative to its largest element, before it was made symmetric: rounding where all panels
-    conduct, else a measure of the panels' error.
+    conduct, and where backings stand in a symmetric layout, however coarse; `error_estimate` tells of the panels.
     """
 
     problem: FieldProblem
@@ -69,17 +69,25 @@ class FieldSolution:
     conductance: Floats
     asymmetry: float
 
+    def potential(self, points: Floats, voltages: Floats) -> Floats:
+        """Potential [V] at `points` [m], shape (3, p), for each set of `voltages` [V], shape (e, k); shape (k, p)."""
+        problem = self.problem
+        sums = potentials_at(points, problem.panels, self.panel_current @ voltages, problem.tank)
+        return sums.T / (4.0 * np.pi * problem.conductivity) + (self.bulk_potential @ voltages)[:, None]
+
+    def current_density(self, points: Floats, voltages: Floats) -> Floats:
+        """Current density i = -sigma grad phi [A/m^2] in the solution, likewise; shape (k, 3, p)."""
+        problem = self.problem
+        slopes = slopes_at(points, problem.panels, self.panel_current @ voltages, problem.tank)
+        return -slopes.transpose(2, 0, 1) / (4.0 * np.pi)
+
     def lead_potential(self, points: Floats) -> Floats:
         """Potential [V/V] at `points` [m], shape (3, p), for a unit voltage on each electrode; shape (e, p)."""
-        problem = self.problem
-        potential = potentials_at(points, problem.panels, self.panel_current, problem.tank)
-        return potential.T / (4.0 * np.pi * problem.conductivity) + self.bulk_potential[:, None]
+        return self.potential(points, np.eye(self.problem.array.count))
 
     def lead_current_density(self, points: Floats) -> Floats:
         """Current density i = -sigma grad phi [A/m^2/V] at `points` [m], shape (3, p); shape (e, 3, p)."""
-        problem = self.problem
-        slope = slopes_at(points, problem.panels, self.panel_current, problem.tank)
-        return -slope.transpose(2, 0, 1) / (4.0 * np.pi)
+        return self.current_density(points, np.eye(self.problem.array.count))
 
 
 class SingularField(GelbotError):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +15,6 @@ from gelbot.field.circuit import connection, power
 from gelbot.field.electrodes import THIN, Block, Disc, Electrode, ElectrodeArray, Rectangle, Ring, Rod, Shape
 from gelbot.field.gel import GEL
 from gelbot.field.images import Tank
-from gelbot.field.influence import potentials_at, slopes_at
 from gelbot.field.winding import inside
 
 Floats = NDArray[np.float64]
@@ -85,21 +83,14 @@ class OperatingPoint:
         """Potential of the bulk [V], which floats."""
         return float(self.solution.bulk_potential @ self.voltages)
 
-    @cached_property
-    def _panel_current(self) -> Floats:
-        return (self.solution.panel_current @ self.voltages)[:, None]
-
     def potential(self, points: Floats) -> Floats:
         """Potential [V], shape (p,), at `points` [m], shape (3, p)."""
-        problem = self.solution.problem
-        sums = potentials_at(points, problem.panels, self._panel_current, problem.tank)[:, 0]
-        return sums / (4.0 * np.pi * problem.conductivity) + self.bulk_potential
+        return self.solution.potential(points, self.voltages[:, None])[0]
 
     def current_density(self, points: Floats) -> Floats:
         """i = -sigma grad phi [A/m^2], shape (3, p), at `points` [m], shape (3, p); in a gel with the gel's sigma."""
-        problem = self.solution.problem
-        panels = problem.panels
-        density = -slopes_at(points, panels, self._panel_current, problem.tank)[:, :, 0] / (4.0 * np.pi)
+        panels = self.solution.problem.panels
+        density = self.solution.current_density(points, self.voltages[:, None])[0]
         gel = np.flatnonzero(panels.owner == GEL)
         if len(gel):
             contrast = panels.contrast[gel[0]]
