@@ -55,10 +55,9 @@ def essential_points(body: Body) -> EssentialPoints:
 
 
 def observe(points: EssentialPoints, positions: Array) -> Observation:
-    """Read the essential points from node `positions` [m], shape (3, n)."""
-    centre = positions @ points.centre
-    tips = positions @ points.tips.T
-    bases = positions @ points.tip_bases.T
+    """Read the essential points from node `positions` [m], shape (3, n), or (3, n, b) for a batch."""
+    centre = jnp.einsum("in...,n->i...", positions, points.centre)
+    tips, bases = (jnp.einsum("in...,an->ia...", positions, weights) for weights in (points.tips, points.tip_bases))
     outward = (bases - centre[:, None]).at[2].set(0.0)
     outward = outward / jnp.maximum(jnp.sqrt(jnp.sum(outward**2, axis=0)), 1e-12)
     along = tips - bases
@@ -72,12 +71,12 @@ def observe(points: EssentialPoints, positions: Array) -> Observation:
 
 def body_frame(points: EssentialPoints, positions: Array) -> Array:
     """An orthonormal frame (3, 3) that turns with the middle of the body: two columns in its plane, then its normal."""
-    columns = positions @ points.hub_weights.T
+    columns = jnp.einsum("in...,cn->ic...", positions, points.hub_weights)
     a, b, c = (columns[:, points.hub[k]] for k in range(3))
     normal = jnp.sum(jnp.cross(b - a, c - a, axis=0), axis=1)
-    normal = normal / jnp.maximum(jnp.sqrt(jnp.sum(normal**2)), 1e-30)
+    normal = normal / jnp.maximum(jnp.sqrt(jnp.sum(normal**2, axis=0)), 1e-30)
     # The first triangle is a fixed mark on the body; its edge gives the direction in the plane.
     mark = (b - a)[:, 0]
-    first = mark - normal * jnp.sum(mark * normal)
-    first = first / jnp.maximum(jnp.sqrt(jnp.sum(first**2)), 1e-30)
-    return jnp.stack([first, jnp.cross(normal, first), normal], axis=1)
+    first = mark - normal * jnp.sum(mark * normal, axis=0)
+    first = first / jnp.maximum(jnp.sqrt(jnp.sum(first**2, axis=0)), 1e-30)
+    return jnp.stack([first, jnp.cross(normal, first, axis=0), normal], axis=1)

@@ -15,25 +15,24 @@ from jax import Array
 
 from gelbot.adsorption import adsorb
 from gelbot.field.lead_field import LeadField, current_density, potential_coefficients
-from gelbot.mechanics.implicit import Mechanics, Preconditioner, build_preconditioner, solve_step
-from gelbot.mechanics.springs import rest_length
+from gelbot.mechanics.batch import dot
+from gelbot.mechanics.elastic import rest_shape
+from gelbot.mechanics.implicit import Mechanics, Preconditioner, build_preconditioner, no_preconditioner, solve_step
 from gelbot.points import EssentialPoints, Observation, body_frame, observe
 
 FRESH = 4
 """Iterations that a step takes with a new preconditioner."""
-STALE = 150
+STALE = 20
 """Iterations beyond `FRESH`, added up over the steps, after which a new preconditioner pays for itself."""
 
 
 class Gel(NamedTuple):
-    """The active surface: `faces` (3, f); `spring_faces`, `spring_face_weights` (2, s); constants of Eqs. (2) and (6).
+    """The active surface: its `faces` (3, f) and the constants of Eqs. (2) and (6).
 
-    `p_ele` [m^2/A] per `adsorption_step` [s], `p_ads` per the same step, `p_l`.
+    `p_ele` [m^2/A] per `adsorption_step` [s], `p_ads` per the same step, `p_l`. In a batch each may be (b,).
     """
 
     faces: Array
-    spring_faces: Array
-    spring_face_weights: Array
     p_ele: Array
     p_ads: Array
     p_l: Array
@@ -98,52 +97,59 @@ def face_geometry(positions: Array, faces: Array) -> tuple[Array, Array]:
     return (a + b + c) / 3.0, normal / jnp.maximum(jnp.sqrt(jnp.sum(normal**2, axis=0)), 1e-30)
 
 
-def surface_inflow(model: Model, positions: Array, voltages: Array) -> Array:
+class AppliedField(NamedTuple):
+    """`voltages` [V] (e,) and the potential's coefficients for them: the field of a control period."""
+
+    voltages: Array
+    coefficients: Array
+
+
+def apply(model: Model, voltages: Array) -> AppliedField:
+    """The field of `voltages` [V], shape (e,) or (e, b): the superposition of the electrodes' fields."""
+    return AppliedField(voltages, potential_coefficients(model.lead, voltages))
+
+
+def surface_inflow(model: Model, positions: Array, field: AppliedField) -> Array:
     """-i . n [A/m^2] on every surface face, shape (f,): positive where the current enters the gel."""
     centroids, normals = face_geometry(positions, model.gel.faces)
-    i = current_density(model.lead, potential_coefficients(model.lead, voltages), centroids)
-    inflow = -jnp.sum(i * normals, axis=0)
-    return inflow if model.disturbance is None else inflow + model.disturbance @ voltages
+    i = current_density(model.lead, field.coefficients, centroids)
+    inflow = -dot(i, normals)
+    return inflow if model.disturbance is None else inflow + model.disturbance @ field.voltages
 
 
-def rest_lengths(model: Model, ads: Array) -> Array:
-    """Rest lengths of all springs [m], shape (s,), Eq. (6)."""
+def step(model: Model, state: State, field: AppliedField, dt: Array) -> tuple[State, StepReport]:
+    """One time step: the `field` of `apply` is held for `dt` [s]."""
     gel = model.gel
-    return rest_length(model.mechanics.spring_length, gel.p_l, ads, gel.spring_faces, gel.spring_face_weights)
-
-
-def step(model: Model, state: State, voltages: Array, dt: Array) -> tuple[State, StepReport]:
-    """One time step: `voltages` [V], shape (e,), are held for `dt` [s]."""
-    gel = model.gel
-    inflow = surface_inflow(model, state.positions, voltages)
+    inflow = surface_inflow(model, state.positions, field)
     ads = adsorb(state.ads, inflow, gel.p_ele, gel.p_ads, dt, gel.adsorption_step)
-    state = jax.lax.while_loop(lambda s: s.strain > STALE, lambda s: refresh(model, s, dt), state)
+    rest = rest_shape(model.mechanics.elastic, gel.p_l, ads)
+    state = jax.lax.while_loop(lambda s: jnp.any(s.strain > STALE), lambda s: refresh(model, s, rest, dt), state)
     frame = body_frame(model.points, state.positions)
-    found, near = solve_step(
-        model.mechanics, state.positions, state.velocities, rest_lengths(model, ads), dt, state.near, frame
-    )
+    found, near = solve_step(model.mechanics, state.positions, state.velocities, rest, dt, state.near, frame)
     strain = state.strain + jnp.maximum(found.iterations - FRESH, 0)
     after = State(state.time + dt, found.x, (found.x - state.positions) / dt, ads, near, strain)
     return after, StepReport(found.iterations, found.residual)
 
 
-def refresh(model: Model, state: State, dt: Array) -> State:
+def refresh(model: Model, state: State, rest: Array, dt: Array) -> State:
     """The same state with a preconditioner made for its present shape."""
     frame = body_frame(model.points, state.positions)
-    near = build_preconditioner(
-        model.mechanics, state.positions, state.velocities, rest_lengths(model, state.ads), dt, frame
-    )
+    near = build_preconditioner(model.mechanics, state.positions, state.velocities, rest, dt, frame)
     return state._replace(near=near, strain=jnp.zeros_like(state.strain))
 
 
 def start(model: Model, positions: Array) -> State:
-    """A body at rest without adsorption at `positions` [m], shape (3, n)."""
-    n, f = positions.shape[1], model.gel.faces.shape[1]
-    near = Preconditioner(jnp.zeros((3 * n, 3 * n), jnp.float32), jnp.eye(3, dtype=positions.dtype))
-    zero = jnp.zeros((), positions.dtype)
+    """A body at rest without adsorption at `positions` [m], shape (3, n), or a batch of them, (3, n, b)."""
+    batch = positions.shape[2:]
     # The first step makes the preconditioner: it finds the empty one too old.
-    strain = jnp.asarray(STALE + 1)
-    return State(zero, positions, jnp.zeros_like(positions), jnp.zeros(f, positions.dtype), near, strain)
+    return State(
+        time=jnp.zeros((), positions.dtype),
+        positions=positions,
+        velocities=jnp.zeros_like(positions),
+        ads=jnp.zeros((model.gel.faces.shape[1], *batch), positions.dtype),
+        near=no_preconditioner(model.mechanics, batch),
+        strain=jnp.full(batch, STALE + 1),
+    )
 
 
 Controller: TypeAlias = Callable[[Any, Array, Observation], tuple[Any, Array, Any]]
@@ -163,8 +169,9 @@ def rollout(
     def period(carry: tuple[State, Any], _: None) -> tuple[tuple[State, Any], Frame]:
         state, memory = carry
         memory, voltages, command = controller(memory, state.time, observe(model.points, state.positions))
-        state, report = jax.lax.scan(lambda s, _: step(model, s, voltages, dt), state, None, length=steps_per_period)
-        worst = StepReport(jnp.max(report.iterations), jnp.max(report.residual))
+        field = apply(model, voltages)
+        state, report = jax.lax.scan(lambda s, _: step(model, s, field, dt), state, None, length=steps_per_period)
+        worst = StepReport(jnp.max(report.iterations, axis=0), jnp.max(report.residual, axis=0))
         seen = observe(model.points, state.positions)
         return (state, memory), Frame(state.time, state.positions, state.ads, voltages, seen, command, worst)
 

@@ -19,15 +19,17 @@ SMALL = 128
 
 
 def block_inverse(matrix: Array) -> Array:
-    """A^-1 for a symmetric positive definite `matrix` A, shape (m, m)."""
-    m = matrix.shape[0]
+    """A^-1 for a symmetric positive definite `matrix` A, shape (..., m, m)."""
+    m = matrix.shape[-1]
     if m <= SMALL:
-        factor = jax.scipy.linalg.cho_factor(matrix, lower=True)
-        return jax.scipy.linalg.cho_solve(factor, jnp.eye(m, dtype=matrix.dtype))
+        factor = jnp.linalg.cholesky(matrix)
+        one = jnp.broadcast_to(jnp.eye(m, dtype=matrix.dtype), matrix.shape)
+        half = jax.lax.linalg.triangular_solve(factor, one, left_side=True, lower=True)
+        return jnp.swapaxes(half, -1, -2) @ half
     half = m // 2
-    p, q, s = matrix[:half, :half], matrix[:half, half:], matrix[half:, half:]
+    p, q, s = matrix[..., :half, :half], matrix[..., :half, half:], matrix[..., half:, half:]
     p_inverse = block_inverse(p)
     product = p_inverse @ q
-    c_inverse = block_inverse(s - q.T @ product)
+    c_inverse = block_inverse(s - jnp.swapaxes(q, -1, -2) @ product)
     t = product @ c_inverse
-    return jnp.block([[p_inverse + t @ product.T, -t], [-t.T, c_inverse]])
+    return jnp.block([[p_inverse + t @ jnp.swapaxes(product, -1, -2), -t], [-jnp.swapaxes(t, -1, -2), c_inverse]])

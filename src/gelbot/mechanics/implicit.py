@@ -1,10 +1,13 @@
 """The implicit Euler step of the body: the positions at its end make all forces balance.
 
-    m (x - x_0 - v_0 dt) / dt^2 = f_springs(x) + f_contact(x) + f_weight + f_drag(x),    v = (x - x_0) / dt
+    m (x - x_0 - v_0 dt) / dt^2 = f_elastic(x) + f_contact(x) + f_weight + f_drag(x),    v = (x - x_0) / dt
 
 They are where the incremental energy is least:
 
-    W(x) = sum m |x - x_0 - v_0 dt|^2 / (2 dt^2) + c m |x - x_0|^2 / (2 dt) + w z + W_springs + W_floor + W_friction
+    W(x) = sum m |x - x_0 - v_0 dt|^2 / (2 dt^2) + c m |x - x_0|^2 / (2 dt) + w z + W_elastic + W_contact + W_friction
+
+Everything that stays the same during a step is computed once, in `begin_step`. One robot's nodes are (3, n); a batch of
+b robots has (3, n, b), and their numbers (b,).
 """
 
 from __future__ import annotations
@@ -15,39 +18,42 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from gelbot.mechanics.block_inverse import block_inverse
+from gelbot.mechanics.batch import dot, wide
 from gelbot.mechanics.contact import (
+    along_surface,
     friction_energy,
     friction_grip,
     normal_energy,
     normal_forces,
     normal_stiffness,
 )
+from gelbot.mechanics.dissection import Dissection
+from gelbot.mechanics.elastic import Elastic, Undeformed, elastic_at, elastic_balance, elastic_blocks
 from gelbot.mechanics.medium import drag_forces, gravity_forces
+from gelbot.mechanics.multifrontal import Factor, factorise, solve
+from gelbot.mechanics.obstacles import Obstacles, gaps
 from gelbot.mechanics.quasi_newton import Solution, minimise
-from gelbot.mechanics.springs import spring_balance
 
 PATIENCE = 40
 """Iterations after which a step asks for a new preconditioner."""
 
 
 class Mechanics(NamedTuple):
-    """Constants of the body and its surroundings, SI units; index letters n nodes, s springs.
+    """Constants of the body and its surroundings, SI units; index letters n nodes, k obstacles.
 
-    `springs` (2, s), `incidence` (d, n) from `node_springs`, `stiffness` [N/m] and `spring_length` [m] (s,);
-    `node_mass` [kg] and `weight` less buoyancy [N] (n,); `contact_stiffness` [N/m], `contact_layer` [m], `friction`,
-    `stick_speed` [m/s], `drag` [1/s]; `tolerance` (times `force_scale` [N]) and `max_iterations` of the step.
+    `elastic`: what the body is made of; `dissection`: the order in which its stiffness is inverted. `node_mass` [kg] and
+    `weight` less buoyancy [N] (n,); `obstacles`, the floor among them, with their friction; `contact_stiffness` [N/m],
+    `contact_layer` [m], `stick_speed` [m/s], `drag` [1/s]; `tolerance` (times `force_scale` [N]) and `max_iterations`
+    of the step.
     """
 
-    springs: Array
-    incidence: Array
-    stiffness: Array
-    spring_length: Array
+    elastic: Elastic
+    dissection: Dissection
     node_mass: Array
     weight: Array
+    obstacles: Obstacles
     contact_stiffness: Array
     contact_layer: Array
-    friction: Array
     stick_speed: Array
     drag: Array
     tolerance: Array
@@ -56,37 +62,54 @@ class Mechanics(NamedTuple):
 
 
 class Preconditioner(NamedTuple):
-    """Inverse of the stiffness [m/N], shape (3n, 3n), in single precision, and the frame (3, 3) it was made in."""
+    """Inverse of the stiffness, front by front, in single precision, and the frame (3, 3) it was made in."""
 
-    inverse: Array
+    factor: Factor
     frame: Array
 
 
-def balance(mech: Mechanics, u: Array, x0: Array, v0: Array, rest: Array, dt: Array) -> tuple[Array, Array]:
+class Beginning(NamedTuple):
+    """A step's beginning: positions [m] and velocities [m/s] (3, n), `dt` [s], the elastic body there, and for each
+    obstacle the unit `normal` (k, 3, n) and the normal force `pressed` [N] (k, n) that its friction goes by."""
+
+    x: Array
+    v: Array
+    dt: Array
+    elastic: Undeformed
+    normal: Array
+    pressed: Array
+
+
+def begin_step(mech: Mechanics, x0: Array, v0: Array, rest: Array, dt: Array) -> Beginning:
+    """What a step `dt` [s] from `x0` [m], `v0` [m/s], shape (3, n), with the body's `rest` shape, starts from."""
+    gap, normal = gaps(mech.obstacles, x0)
+    pressed = normal_forces(gap, mech.contact_stiffness, mech.contact_layer)
+    return Beginning(x0, v0, dt, elastic_at(mech.elastic, x0, rest), normal, pressed)
+
+
+def balance(mech: Mechanics, begin: Beginning, u: Array) -> tuple[Array, Array]:
     """W(x0 + u) [J] and the sum of all forces, inertia included [N], shape (3, n), which is minus its gradient.
 
     `u` [m] is what the nodes have moved in the step. The forces vanish at the end of it.
     """
-    x = x0 + u
-    pressed = normal_forces(x0, mech.contact_stiffness, mech.contact_layer)
-    elastic, pull = spring_balance(x0, u, mech.springs, mech.stiffness, rest, mech.incidence)
-    energy = (
-        0.5 * jnp.sum(mech.node_mass * (u / dt - v0) ** 2)
-        + 0.5 / dt * jnp.sum(mech.drag * mech.node_mass * u**2)
-        + jnp.sum(mech.weight * u[2])
-        + elastic
-        + normal_energy(x, mech.contact_stiffness, mech.contact_layer)
-        + friction_energy(u[:2], pressed, mech.friction, mech.stick_speed, dt)
+    dt, mass, weight = begin.dt, wide(mech.node_mass, u[0], 1), wide(mech.weight, u[0], 1)
+    elastic, forces = elastic_balance(mech.elastic, begin.elastic, u)
+    ahead = u / dt - begin.v
+    energy = elastic + jnp.sum(
+        0.5 * mass * (dot(ahead, ahead) + mech.drag / dt * dot(u, u)) + weight * u[2], axis=0
     )
-    grip = friction_grip(u[:2], pressed, mech.friction, mech.stick_speed, dt)
-    push = normal_forces(x, mech.contact_stiffness, mech.contact_layer)
-    forces = (
-        pull
-        + jnp.concatenate([-grip * u[:2], push[None]])
-        + gravity_forces(mech.weight)
-        + drag_forces(u, mech.node_mass, mech.drag, dt)
-        - mech.node_mass * (u / dt - v0) / dt
-    )
+    forces = forces + drag_forces(u, mass, mech.drag, dt) - mass * ahead / dt + gravity_forces(weight)
+    touching = gaps(mech.obstacles, begin.x + u)
+    for k, friction in enumerate(mech.obstacles.friction):
+        gap, normal, pressed = touching[0][k], touching[1][k], begin.pressed[k]
+        slip = along_surface(u, begin.normal[k])
+        energy = energy + jnp.sum(
+            normal_energy(gap, mech.contact_stiffness, mech.contact_layer)
+            + friction_energy(slip, pressed, friction, mech.stick_speed, dt),
+            axis=0,
+        )
+        push = normal_forces(gap, mech.contact_stiffness, mech.contact_layer)
+        forces = forces + push * normal - friction_grip(slip, pressed, friction, mech.stick_speed, dt) * slip
     return energy, forces
 
 
@@ -95,20 +118,21 @@ def solve_step(
 ) -> tuple[Solution, Preconditioner]:
     """Solve for the positions at the end of a step `dt` [s]; the solution's residual is relative to `force_scale`.
 
-    `x0` [m], `v0` [m/s], shape (3, n); `rest` lengths [m], shape (s,); `frame` (3, 3) the body's frame now: the
+    `x0` [m], `v0` [m/s], shape (3, n); the elastic body's `rest` shape; `frame` (3, 3) the body's frame now: the
     preconditioner is turned with the body. Where the iteration is slow a new preconditioner is made on the way; the
     last one comes back with the solution.
     """
+    begin = begin_step(mech, x0, v0, rest, dt)
 
     # The unknown is the displacement, which single precision holds far more finely than the positions.
     def objective(u: Array) -> tuple[Array, Array]:
-        energy, forces = balance(mech, u, x0, v0, rest, dt)
+        energy, forces = balance(mech, begin, u)
         return energy, -forces
 
     def attempt(u: Array, near: Preconditioner) -> Solution:
         return minimise(
             objective=objective,
-            precondition=lambda g: _precondition(mech, near, frame, g),
+            precondition=lambda g: apply_inverse(mech, near, frame, g),
             x=u,
             tolerance=mech.tolerance * mech.force_scale,
             max_iterations=jnp.minimum(PATIENCE, mech.max_iterations),
@@ -116,8 +140,9 @@ def solve_step(
 
     def unfinished(carry: tuple[Solution, Preconditioner]) -> Array:
         found, _ = carry
-        finite = jnp.isfinite(found.residual)
-        return finite & (found.residual > mech.tolerance * mech.force_scale) & (found.iterations < mech.max_iterations)
+        return jnp.any(found.residual > mech.tolerance * mech.force_scale) & jnp.all(
+            found.iterations < mech.max_iterations
+        )
 
     def renew(carry: tuple[Solution, Preconditioner]) -> tuple[Solution, Preconditioner]:
         before, _ = carry
@@ -129,36 +154,50 @@ def solve_step(
     return Solution(x0 + found.x, found.residual / mech.force_scale, found.iterations), near
 
 
-def _precondition(mech: Mechanics, near: Preconditioner, frame: Array, g: Array) -> Array:
-    single = near.inverse.dtype
-    turn = (frame @ near.frame.T).astype(single)
+def apply_inverse(mech: Mechanics, near: Preconditioner, frame: Array, g: Array) -> Array:
+    """The preconditioner times `g` [N], shape (3, n): displacements [m]."""
+    single = near.frame.dtype
+    turn = jnp.einsum("ij...,kj...->ik...", frame.astype(single), near.frame)
     # Scaled to order one: single precision has no room for forces of 1e-9 N times compliances of 1e3 m/N.
-    local = turn.T @ (g / mech.force_scale).astype(single)
-    moved = turn @ (near.inverse @ local.ravel()).reshape(local.shape)
-    return moved.astype(g.dtype) * mech.force_scale
+    local = jnp.einsum("ji...,jn...->ni...", turn, (g / mech.force_scale).astype(single))
+    one = lambda factor, forces: solve(mech.dissection, factor, forces)  # noqa: E731 - named for what vmap maps
+    found = one(near.factor, local) if g.ndim == 2 else jax.vmap(one, (0, -1), -1)(near.factor, local)
+    return jnp.einsum("ij...,nj...->in...", turn, found).astype(g.dtype) * mech.force_scale
 
 
 def build_preconditioner(mech: Mechanics, x: Array, v: Array, rest: Array, dt: Array, frame: Array) -> Preconditioner:
-    """Invert the stiffness of a step `dt` [s] in the shape `x` [m], with what would make it indefinite left out."""
-    n = x.shape[1]
-    # In double precision: the rigid motions of the body are a million times softer than its springs.
-    x = x.astype(jnp.float64)
-    along = x[:, mech.springs[1]] - x[:, mech.springs[0]]
-    length = jnp.sqrt(jnp.sum(along**2, axis=0))
-    unit = along / length
-    across = jnp.maximum(0.0, 1.0 - rest / length)  # compression softens a spring across its line: left out
-    dyad = unit[:, None] * unit[None, :]
-    block = mech.stiffness * (dyad + across * (jnp.eye(3)[:, :, None] - dyad))
-    i, j = mech.springs
-    matrix = jnp.zeros((3, n, 3, n), x.dtype)
-    a, b = jnp.meshgrid(jnp.arange(3), jnp.arange(3), indexing="ij")
-    for first, second, sign in ((i, i, 1.0), (j, j, 1.0), (i, j, -1.0), (j, i, -1.0)):
-        matrix = matrix.at[a[:, :, None], first, b[:, :, None], second].add(sign * block)
-    pressed = normal_forces(x, mech.contact_stiffness, mech.contact_layer)
-    grip = friction_grip(dt * v[:2], pressed, mech.friction, mech.stick_speed, dt)
-    floor = normal_stiffness(x, mech.contact_stiffness, mech.contact_layer)
-    inertia = mech.node_mass / dt**2 + mech.drag * mech.node_mass / dt
-    diagonal = (inertia + jnp.stack([grip, grip, floor])).ravel()
-    full = matrix.reshape(3 * n, 3 * n) + jnp.diag(diagonal)
-    inverse = block_inverse(full)
-    return Preconditioner(inverse.astype(jnp.float32), frame)
+    """Invert the stiffness of a step `dt` [s] in the shape `x` [m], with what would make it indefinite left out.
+
+    In double precision: the rigid motions of the body are a million times softer than its springs.
+    """
+    x, v, rest = (jax.lax.stop_gradient(a).astype(jnp.float64) for a in (x, v, rest))
+    own, between = elastic_blocks(mech.elastic, x, rest)
+    mass = wide(mech.node_mass, x[0], 1)
+    inertia = mass / dt**2 + mech.drag * mass / dt
+    gap, normal = gaps(mech.obstacles, x)
+    for axis in range(3):
+        own = own.at[axis, axis].add(inertia)
+    for k, friction in enumerate(mech.obstacles.friction):
+        pressed = normal_forces(gap[k], mech.contact_stiffness, mech.contact_layer)
+        slip = along_surface(dt * v, normal[k])
+        grip = friction_grip(slip, pressed, friction, mech.stick_speed, dt)
+        stiff = normal_stiffness(gap[k], mech.contact_stiffness, mech.contact_layer)
+        own = own + (stiff - grip) * normal[k][:, None] * normal[k][None]
+        for axis in range(3):
+            own = own.at[axis, axis].add(grip)
+    one = lambda own, between: factorise(mech.dissection, own, between, jnp.float32)  # noqa: E731
+    own, between = jnp.moveaxis(own, 2, 0), jnp.moveaxis(between, 2, 0)
+    factor = one(own, between) if x.ndim == 2 else jax.vmap(one, -1)(own, between)
+    return Preconditioner(factor, frame.astype(jnp.float32))
+
+
+def no_preconditioner(mech: Mechanics, batch: tuple[int, ...]) -> Preconditioner:
+    """An empty one for a body of `mech`, or for a `batch` of (b,): it is to be replaced before it is used."""
+    inverses, transfers = [], []
+    for level in mech.dissection.levels:
+        fronts, s = level.pivots.shape
+        t = level.outputs.shape[1]
+        inverses.append(jnp.zeros((*batch, fronts, 3 * s, 3 * s), jnp.float32))
+        transfers.append(jnp.zeros((*batch, fronts, 3 * t, 3 * s), jnp.float32))
+    frame = jnp.eye(3, dtype=jnp.float32).reshape(3, 3, *(1 for _ in batch))
+    return Preconditioner(Factor(tuple(inverses), tuple(transfers)), jnp.broadcast_to(frame, (3, 3, *batch)))

@@ -4,6 +4,9 @@ The preconditioner is the inverse of the true stiffness in some nearby shape of 
 recursion (Nocedal and Wright, Algorithm 7.4) learn what has changed since, contacts included. A step is taken when it
 lowers the energy (Armijo) and does not overshoot; else it is shortened to where the slopes at its ends, or the parabola
 through its energies, put the minimum.
+
+A batch of robots, (3, n, b), is iterated until the last of them has converged; those that have keep still meanwhile, so
+that what a robot does does not depend on its companions.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-MEMORY = 8
+MEMORY = 6
 """Pairs kept."""
 SUFFICIENT_DECREASE = 1e-4
 """Share of the decrease promised by the slope that a step must bring."""
@@ -42,12 +45,14 @@ class _Iterate(NamedTuple):
     x: Array
     energy: Array
     gradient: Array
+    norm: Array  # of the gradient
     direction: Array
     length: Array
     steps: Array  # (MEMORY, ...) differences of x
     changes: Array  # (MEMORY, ...) differences of the gradient
     inverse_products: Array  # (MEMORY,) 1 / (s . y), zero for an empty place
     iterations: Array
+    count: Array
 
 
 def minimise(
@@ -59,41 +64,63 @@ def minimise(
 ) -> Solution:
     """Find a minimum of `objective` where its gradient vanishes to `tolerance` (2-norm), beginning at `x`.
 
-    `precondition` applies a symmetric positive definite approximate inverse Hessian. A non-finite gradient ends the
-    iteration: the residual says so.
+    `precondition` applies a symmetric positive definite approximate inverse Hessian. `x` has two dimensions, or three
+    for a batch; then energies, norms and iterations are (b,). A non-finite gradient ends the iteration: the residual
+    says so.
     """
     energy, g = objective(x)
     empty = jnp.zeros((MEMORY, *x.shape), x.dtype)
+    norm = jnp.sqrt(_product(g, g))
     first = _Iterate(
-        x, energy, g, -precondition(g), jnp.ones((), x.dtype), empty, empty, jnp.zeros(MEMORY, x.dtype), jnp.asarray(1)
+        x=x,
+        energy=energy,
+        gradient=g,
+        norm=norm,
+        direction=-precondition(g),
+        length=jnp.ones_like(norm),
+        steps=empty,
+        changes=empty,
+        inverse_products=jnp.zeros((MEMORY, *norm.shape), x.dtype),
+        iterations=jnp.ones(norm.shape, int),
+        count=jnp.asarray(1),
     )
 
     def unfinished(it: _Iterate) -> Array:
-        norm = jnp.sqrt(jnp.sum(it.gradient**2))
-        return (norm > tolerance) & (it.iterations < max_iterations)
+        return jnp.any(it.norm > tolerance) & (it.count < max_iterations)
 
-    last = jax.lax.while_loop(unfinished, lambda it: _advance(it, objective, precondition), first)
-    return Solution(last.x, jnp.sqrt(jnp.sum(last.gradient**2)), last.iterations)
+    last = jax.lax.while_loop(unfinished, lambda it: _advance(it, objective, precondition, tolerance), first)
+    return Solution(last.x, last.norm, last.iterations)
 
 
-def _advance(it: _Iterate, objective: Objective, precondition: Callable[[Array], Array]) -> _Iterate:
+def _product(a: Array, b: Array) -> Array:
+    """The scalar product over nodes and space, for each robot of a batch."""
+    return jnp.sum(a * b, axis=(0, 1))
+
+
+def _advance(
+    it: _Iterate, objective: Objective, precondition: Callable[[Array], Array], tolerance: Array
+) -> _Iterate:
+    running = it.norm > tolerance
     s = it.length * it.direction
     x = it.x + s
     energy, g = objective(x)
-    slope_before, slope_after = jnp.sum(it.gradient * it.direction), jnp.sum(g * it.direction)
+    slope_before, slope_after = _product(it.gradient, it.direction), _product(g, it.direction)
     rounding = 10.0 * jnp.finfo(x.dtype).eps * jnp.abs(it.energy)
     uphill = ~(energy <= it.energy + SUFFICIENT_DECREASE * it.length * slope_before + rounding)
     overshoot = slope_after > -LONGEST_OVERSHOOT * slope_before
     too_long = (uphill | overshoot) & (it.length > SHORTEST)
+    taken = running & ~too_long
 
     y = g - it.gradient
-    product = jnp.sum(s * y)
-    useful = product > 1e-14 * jnp.sqrt(jnp.sum(s**2)) * jnp.sqrt(jnp.sum(y**2))
-    keep = useful & ~too_long
-    steps = jnp.where(keep, jnp.roll(it.steps, -1, axis=0).at[-1].set(s), it.steps)
-    changes = jnp.where(keep, jnp.roll(it.changes, -1, axis=0).at[-1].set(y), it.changes)
-    inverse = jnp.where(useful, 1.0 / jnp.where(useful, product, 1.0), 0.0)
-    inverses = jnp.where(keep, jnp.roll(it.inverse_products, -1).at[-1].set(inverse), it.inverse_products)
+    product = _product(s, y)
+    useful = product > 1e-14 * jnp.sqrt(_product(s, s) * _product(y, y))
+    keep = useful & taken
+    place = it.count % MEMORY
+    steps, changes = (
+        jax.lax.dynamic_update_index_in_dim(old, new, place, 0) for old, new in ((it.steps, s), (it.changes, y))
+    )
+    inverse = jnp.where(keep, 1.0 / jnp.where(useful, product, 1.0), 0.0)
+    inverses = jax.lax.dynamic_update_index_in_dim(it.inverse_products, inverse, place, 0)
 
     # Where the slope vanishes by the secant, or where the parabola through both energies has its bottom.
     promised = it.length * slope_before
@@ -102,28 +129,35 @@ def _advance(it: _Iterate, objective: Objective, precondition: Callable[[Array],
     share = jnp.where(overshoot, by_slope, by_energy)
     shorter = it.length * jnp.clip(jnp.where(jnp.isfinite(share), share, 0.1), 0.1, 0.8)
     return _Iterate(
-        x=jnp.where(too_long, it.x, x),
-        energy=jnp.where(too_long, it.energy, energy),
-        gradient=jnp.where(too_long, it.gradient, g),
-        direction=jnp.where(too_long, it.direction, -_two_loops(g, steps, changes, inverses, precondition)),
+        x=jnp.where(taken, x, it.x),
+        energy=jnp.where(taken, energy, it.energy),
+        gradient=jnp.where(taken, g, it.gradient),
+        norm=jnp.where(taken, jnp.sqrt(_product(g, g)), it.norm),
+        direction=jnp.where(too_long, it.direction, -_two_loops(g, steps, changes, inverses, place, precondition)),
         length=jnp.where(too_long, shorter, jnp.ones_like(it.length)),
         steps=steps,
         changes=changes,
         inverse_products=inverses,
-        iterations=it.iterations + 1,
+        iterations=it.iterations + running,
+        count=it.count + 1,
     )
 
 
 def _two_loops(
-    q: Array, steps: Array, changes: Array, inverses: Array, precondition: Callable[[Array], Array]
+    q: Array, steps: Array, changes: Array, inverses: Array, newest: Array, precondition: Callable[[Array], Array]
 ) -> Array:
+    pairs = [
+        tuple(jax.lax.dynamic_index_in_dim(kept, (newest - k) % MEMORY, keepdims=False) for kept in
+              (steps, changes, inverses))
+        for k in range(MEMORY)
+    ]  # fmt: skip
     alphas = []
-    for k in reversed(range(MEMORY)):
-        alpha = inverses[k] * jnp.sum(steps[k] * q)
-        q = q - alpha * changes[k]
-        alphas.insert(0, alpha)
+    for s, y, inverse in pairs:
+        alpha = inverse * _product(s, q)
+        q = q - alpha * y
+        alphas.append(alpha)
     r = precondition(q)
-    for k in range(MEMORY):
-        beta = inverses[k] * jnp.sum(changes[k] * r)
-        r = r + (alphas[k] - beta) * steps[k]
+    for (s, y, inverse), alpha in zip(pairs[::-1], alphas[::-1], strict=True):
+        beta = inverse * _product(y, r)
+        r = r + (alpha - beta) * s
     return r

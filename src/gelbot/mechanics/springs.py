@@ -1,11 +1,39 @@
-"""The spring lattice: stiffness, rest length, equation (6), and forces."""
+"""The spring lattice: stiffness, rest length, equation (6), forces, and the stiffness of its nodes."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.experimental.layout import Layout, with_layout_constraint
 from numpy.typing import NDArray
+
+from gelbot.mechanics.batch import dot, wide
+
+
+class Lattice(NamedTuple):
+    """A lattice of `s` springs between nodes `springs` (2, s), of `stiffness` [N/m] (s,) or (s, b).
+
+    `length` [m] (s,) of the undeformed springs; `incidence` (d, n) from `node_springs`; what `rest_length` needs:
+    `spring_faces`, `face_weights` (2, s).
+    """
+
+    springs: Array
+    incidence: Array
+    stiffness: Array
+    length: Array
+    spring_faces: Array
+    face_weights: Array
+
+
+class Springs(NamedTuple):
+    """Springs at the beginning of a step: `along` [m] (3, s), `length`, and `stretch` beyond the rest length (s,)."""
+
+    along: Array
+    length: Array
+    stretch: Array
 
 
 def spring_stiffness(
@@ -28,34 +56,59 @@ def bending_factor(layer_count: int) -> float:
 
 
 def rest_length(spring_length: Array, p_l: Array, ads: Array, faces: Array, weights: Array) -> Array:
-    """l_0 = l_0init (1 - p_l ads) [m], Eq. (6), shape (s,).
+    """l_0 = l_0init (1 - p_l ads) [m], Eq. (6), shape (s,) or (s, b).
 
-    `ads` belongs to the surface faces, shape (f,); a surface spring takes the mean of the two faces beside it (`faces`
-    and `weights`, shape (2, s)), a spring inside the body has no weight and keeps its length.
+    `ads` belongs to the surface faces, shape (f,) or (f, b); a surface spring takes the mean of the two faces beside it
+    (`faces` and `weights`, shape (2, s)), a spring inside the body has no weight and keeps its length.
     """
-    on_spring = jnp.sum(ads[faces] * weights, axis=0)
-    return spring_length * (1.0 - p_l * on_spring)
+    on_spring = ads[faces[0]] * wide(weights[0], ads, 1) + ads[faces[1]] * wide(weights[1], ads, 1)
+    return wide(spring_length, ads, 1) * (1.0 - p_l * on_spring)
 
 
-def spring_balance(
-    start: Array, displacement: Array, springs: Array, stiffness: Array, rest: Array, incidence: Array
-) -> tuple[Array, Array]:
-    """Elastic energy sum_s k_s (l_s - l_0s)^2 / 2 [J] and its forces [N] on the nodes at `start` + `displacement` [m].
+def springs_at(lattice: Lattice, start: Array, rest: Array) -> Springs:
+    """The springs of a body at `start` [m], (3, n), with lengths `rest` [m], (s,): what stays the same in a step."""
+    along = start[:, lattice.springs[1]] - start[:, lattice.springs[0]]
+    length = jnp.sqrt(dot(along, along))
+    return Springs(along, length, length - rest)
 
-    Nodes' quantities have shape (3, n). `incidence` comes from `node_springs`. Both are computed at once: they share
-    the lengths. A small displacement acts through its differences, not its sum with `start`, which in single precision
-    is known to 1 nm only: a spring would feel that as a tenth of a node's weight.
+
+def spring_balance(lattice: Lattice, before: Springs, displacement: Array) -> tuple[Array, Array]:
+    """Elastic energy sum_s k_s (l_s - l_0s)^2 / 2 [J] and its forces [N] on the nodes after a `displacement` [m].
+
+    Nodes' quantities have shape (3, n) or (3, n, b). Both are computed at once: they share the lengths. A small
+    displacement acts through its differences, not its sum with the start, which in single precision is known to 1 nm
+    only: a spring would feel that as a tenth of a node's weight.
     """
-    before = start[:, springs[1]] - start[:, springs[0]]
-    change = displacement[:, springs[1]] - displacement[:, springs[0]]
-    along = before + change
-    length_before, length = jnp.sqrt(jnp.sum(before**2, axis=0)), jnp.sqrt(jnp.sum(along**2, axis=0))
-    growth = jnp.sum(change * (before + along), axis=0) / (length_before + length)  # length - length_before
-    stretch = (length_before - rest) + growth
-    tension = (stiffness * stretch / length) * along
+    k = wide(lattice.stiffness, before.length, 1)
+    first, second = _settled(displacement[:, lattice.springs[0]]), _settled(displacement[:, lattice.springs[1]])
+    change = second - first
+    along = before.along + change
+    squared = dot(along, along)
+    inverse = 1.0 / jnp.sqrt(squared)
+    length = squared * inverse
+    growth = dot(change, before.along + along) / (before.length + length)  # length - before.length
+    stretch = before.stretch + growth
+    tension = _settled((k * stretch * inverse) * along)
     # A node sums the springs that end at it: a gather, which is far cheaper than a scatter.
-    both_ends = jnp.concatenate([tension, -tension, jnp.zeros((3, 1), tension.dtype)], axis=1)
-    return 0.5 * jnp.sum(stiffness * stretch**2), jnp.sum(both_ends[:, incidence], axis=1)
+    both_ends = _settled(jnp.concatenate([tension, -tension, jnp.zeros_like(tension[:, :1])], axis=1))
+    return 0.5 * jnp.sum(k * stretch**2, axis=0), jnp.sum(_settled(both_ends[:, lattice.incidence]), axis=1)
+
+
+def spring_blocks(lattice: Lattice, x: Array, rest: Array) -> tuple[Array, Array]:
+    """The nodes' own 3 x 3 stiffness [N/m], (3, 3, n), and that between the nodes of each spring, (3, 3, s), at `x` [m].
+
+    Compression softens a spring across its line; that would make the stiffness indefinite, and is left out.
+    """
+    before = springs_at(lattice, x, rest)
+    unit = before.along / before.length
+    across = jnp.maximum(0.0, before.stretch / before.length)
+    k = wide(lattice.stiffness, before.length, 1)
+    along_part, across_part = k * (1.0 - across), k * across
+    block = along_part * unit[:, None] * unit[None, :]
+    for axis in range(3):
+        block = block.at[axis, axis].add(across_part)
+    ends = jnp.concatenate([block, block, jnp.zeros_like(block[:, :, :1])], axis=2)
+    return jnp.sum(ends[:, :, lattice.incidence], axis=2), -block
 
 
 def node_springs(springs: NDArray[np.int64], node_count: int) -> NDArray[np.int64]:
@@ -71,3 +124,8 @@ def node_springs(springs: NDArray[np.int64], node_count: int) -> NDArray[np.int6
     table = np.full((int(degree.max()), node_count), 2 * count)
     table[place, ends[order]] = order
     return table
+
+
+def _settled(a: Array) -> Array:
+    """`a`, computed once and laid out in the order of its axes: fused with what follows, nothing would be vectorised."""
+    return with_layout_constraint(a, Layout(tuple(range(a.ndim))))

@@ -18,9 +18,11 @@ from gelbot.field.electrodes import ElectrodeArray
 from gelbot.field.gel import disturbance, gel_panels
 from gelbot.field.images import Tank
 from gelbot.field.lead_field import build_lead_field, table_error
+from gelbot.mechanics.dissection import dissect
 from gelbot.mechanics.implicit import Mechanics
 from gelbot.mechanics.medium import net_weight
-from gelbot.mechanics.springs import node_springs, spring_stiffness
+from gelbot.mechanics.obstacles import Obstacles, floor_only
+from gelbot.mechanics.springs import Lattice, node_springs, spring_stiffness
 from gelbot.plan.templates import template
 from gelbot.plan.trajectory import rise
 from gelbot.points import essential_points
@@ -121,8 +123,6 @@ def build_model(scenario: Scenario, body: Body, field: FieldSolution, connected:
     material = scenario.material
     gel = Gel(
         faces=jnp.asarray(body.faces),
-        spring_faces=jnp.asarray(body.spring_faces),
-        spring_face_weights=jnp.asarray(body.spring_face_weights),
         p_ele=jnp.asarray(material.p_ele),
         p_ads=jnp.asarray(material.p_ads),
         p_l=jnp.asarray(material.p_l),
@@ -160,21 +160,31 @@ def build_mechanics(scenario: Scenario, body: Body) -> Mechanics:
     layer = CONTACT_LAYER * body.thickness
     stiffness = spring_stiffness(material.young_modulus, body.spring_volume, body.spring_length, body.layer_count)
     return Mechanics(
-        springs=jnp.asarray(body.springs),
-        incidence=jnp.asarray(node_springs(body.springs, body.nodes.shape[1])),
-        stiffness=jnp.asarray(stiffness),
-        spring_length=jnp.asarray(body.spring_length),
+        elastic=Lattice(
+            springs=jnp.asarray(body.springs, jnp.int32),
+            incidence=jnp.asarray(node_springs(body.springs, body.nodes.shape[1]), jnp.int32),
+            stiffness=jnp.asarray(stiffness),
+            length=jnp.asarray(body.spring_length),
+            spring_faces=jnp.asarray(body.spring_faces, jnp.int32),
+            face_weights=jnp.asarray(body.spring_face_weights),
+        ),
+        dissection=dissect(body.nodes, body.springs),
+        obstacles=obstacles(scenario),
         node_mass=jnp.asarray(material.density * body.node_volume),
         weight=jnp.asarray(weight),
         contact_stiffness=jnp.asarray(2.0 * heaviest.sum() / layer),
         contact_layer=jnp.asarray(layer),
-        friction=jnp.asarray(scenario.tank.friction),
         stick_speed=jnp.asarray(STICK_SPEED),
         drag=jnp.asarray(solution.drag),
         tolerance=jnp.asarray(simulation.tolerance),
         max_iterations=jnp.asarray(simulation.max_iterations),
         force_scale=jnp.asarray(np.linalg.norm(heaviest)),
     )
+
+
+def obstacles(scenario: Scenario) -> Obstacles:
+    """The floor."""
+    return floor_only(scenario.tank.friction)
 
 
 def build_programme(scenario: Scenario, array: ElectrodeArray) -> Programme:

@@ -1,0 +1,19 @@
+"""One robot or many with the same code: a batch of b robots has its index last, so that rows of it are contiguous.
+
+Positions are (3, n) or (3, n, b), a robot's own numbers () or (b,). Constants of the mesh have no such axis: `wide` adds
+one where the other operand has it.
+"""
+
+from __future__ import annotations
+
+from jax import Array
+
+
+def wide(constant: Array, like: Array, dims: int) -> Array:
+    """`constant` as a factor for `like`, of which one robot's have `dims` dimensions: axes of 1 for batch where needed."""
+    return constant if like.ndim == dims or constant.ndim == 0 else constant[..., None]
+
+
+def dot(a: Array, b: Array) -> Array:
+    """Scalar products of vectors, space first: term by term, since a reduction is not vectorised by the compiler."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

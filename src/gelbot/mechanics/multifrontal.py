@@ -1,0 +1,88 @@
+"""The inverse of a sparse stiffness, front by front (Duff and Reid 1983): one code for small and for large bodies.
+
+A front holds the stiffness [P Q^T; Q S] of the nodes that it eliminates and of their border. It keeps
+
+    P^-1,    T = Q P^-1,
+
+and leaves S - T Q^T to the fronts above. To apply the inverse, forces are carried up, y -> y_border - T y, and
+displacements down, x = P^-1 y - T^T x_border. See `dissection` for the order.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from gelbot.mechanics.block_inverse import block_inverse
+from gelbot.mechanics.dissection import Dissection, Level
+
+
+class Factor(NamedTuple):
+    """For each level, fronts first: `inverses` P^-1 (B, 3s, 3s) and `transfers` T (B, 3t, 3s)."""
+
+    inverses: tuple[Array, ...]
+    transfers: tuple[Array, ...]
+
+
+def factorise(dissection: Dissection, diagonal: Array, pairs: Array, dtype: jnp.dtype) -> Factor:
+    """Factor of the matrix with 3 x 3 blocks `diagonal` (n, 3, 3) and `pairs` (c, 3, 3), kept as `dtype`."""
+    zero = jnp.zeros((1, 3, 3), diagonal.dtype)
+    found = jnp.concatenate([zero, diagonal, pairs, pairs.transpose(0, 2, 1)]).reshape(-1, 9)
+    inverses, transfers = [], []
+    for level in dissection.levels:
+        fronts, s, size = level.pivots.shape[0], 3 * level.pivots.shape[1], 3 * level.entries.shape[1]
+        matrix = _front_matrices(level, found, diagonal.shape[0])
+        inverse = block_inverse(matrix[:, :s, :s])
+        inverses.append(inverse.astype(dtype))
+        coupling = matrix[:, s:, :s]
+        transfer = coupling @ inverse
+        transfers.append(transfer.astype(dtype))
+        if size > s:
+            left = matrix[:, s:, s:] - transfer @ coupling.transpose(0, 2, 1)
+            t = (size - s) // 3
+            left = left.reshape(fronts, t, 3, t, 3).transpose(0, 1, 3, 2, 4).reshape(-1, 9)
+            found = jnp.concatenate([found, left])
+    return Factor(tuple(inverses), tuple(transfers))
+
+
+def _front_matrices(level: Level, found: Array, node_count: int) -> Array:
+    """The fronts' matrices, shape (B, 3 s + 3 t, 3 s + 3 t); the rows of pivots that pad a front are those of 1."""
+    fronts, size = level.entries.shape[:2]
+    blocks = found[level.entries[..., 0]]
+    for k in range(1, level.entries.shape[-1]):
+        blocks = blocks + found[level.entries[..., k]]
+    matrix = blocks.reshape(fronts, size, size, 3, 3).transpose(0, 1, 3, 2, 4).reshape(fronts, 3 * size, 3 * size)
+    padding = jnp.repeat(level.pivots == node_count, 3, axis=1).astype(found.dtype)
+    padding = jnp.pad(padding, ((0, 0), (0, 3 * size - padding.shape[1])))
+    return matrix + padding[:, :, None] * jnp.eye(3 * size, dtype=found.dtype)
+
+
+def solve(dissection: Dissection, factor: Factor, forces: Array) -> Array:
+    """The inverse times `forces` (n, 3)."""
+    padded = jnp.concatenate([forces, jnp.zeros((1, 3), forces.dtype)])
+    carried = [jnp.zeros((1, 3), forces.dtype)]
+    eliminated = []
+    for level, transfer in zip(dissection.levels, factor.transfers, strict=True):
+        fronts, s = level.pivots.shape
+        y, border = padded[level.pivots], None
+        if level.inputs.shape[-1]:
+            below = jnp.concatenate(carried)
+            added = sum(below[level.inputs[..., k]] for k in range(level.inputs.shape[-1]))
+            y, border = y + added[:, :s], added[:, s:]
+        y = y.reshape(fronts, -1)
+        eliminated.append(y)
+        if transfer.shape[1]:
+            moved = -jnp.einsum("bts,bs->bt", transfer, y).reshape(fronts, -1, 3)
+            carried.append((moved if border is None else border + moved).reshape(-1, 3))
+    known = jnp.zeros((0, 3), forces.dtype)
+    for level, y, inverse, transfer in reversed(
+        list(zip(dissection.levels, eliminated, factor.inverses, factor.transfers, strict=True))
+    ):
+        x = jnp.einsum("bsr,br->bs", inverse, y)
+        if transfer.shape[1]:
+            outside = known[level.outputs].reshape(level.outputs.shape[0], -1)
+            x = x - jnp.einsum("bts,bt->bs", transfer, outside)
+        known = jnp.concatenate([known, x.reshape(-1, 3)])
+    return known[dissection.order]
