@@ -14,15 +14,15 @@ from gelbot.body.lattice import Body
 class EssentialPoints(NamedTuple):
     """How to read the points: weights over the nodes, `centre` (n,), `tips` and `tip_bases` (a, n), and the `hub`.
 
-    `hub` (3, m): triangles around the centre, of columns of nodes whose means over the thickness are `hub_weights`
-    (c, n): the normal belongs to the mid-surface.
+    `hub` (3, m): triangles around the centre, of columns of nodes, `hub_nodes` (l, c), one for each of l layers: the
+    normal belongs to the mid-surface.
     """
 
     centre: Array
     tips: Array
     tip_bases: Array
     hub: Array
-    hub_weights: Array
+    hub_nodes: Array
 
 
 class Observation(NamedTuple):
@@ -41,16 +41,14 @@ class Observation(NamedTuple):
 def essential_points(body: Body) -> EssentialPoints:
     """The essential points of a body: its centre, tips and middle."""
     columns, hub = np.unique(body.hub, return_inverse=True)
-    per_layer = body.nodes.shape[1] // body.layer_count
-    weights = np.zeros((len(columns), body.nodes.shape[1]))
-    for layer in range(body.layer_count):
-        weights[np.arange(len(columns)), columns + layer * per_layer] = 1.0 / body.layer_count
+    # Faces know the corners of the mesh only; a body may have nodes between them.
+    per_layer = (int(body.faces.max()) + 1) // body.layer_count
     return EssentialPoints(
         centre=jnp.asarray(body.centre),
         tips=jnp.asarray(body.tips),
         tip_bases=jnp.asarray(body.tip_bases),
         hub=jnp.asarray(hub.reshape(body.hub.shape)),
-        hub_weights=jnp.asarray(weights),
+        hub_nodes=jnp.asarray(columns + per_layer * np.arange(body.layer_count)[:, None], jnp.int32),
     )
 
 
@@ -71,7 +69,7 @@ def observe(points: EssentialPoints, positions: Array) -> Observation:
 
 def body_frame(points: EssentialPoints, positions: Array) -> Array:
     """An orthonormal frame (3, 3) that turns with the middle of the body: two columns in its plane, then its normal."""
-    columns = jnp.einsum("in...,cn->ic...", positions, points.hub_weights)
+    columns = jnp.mean(positions[:, points.hub_nodes], axis=1)
     a, b, c = (columns[:, points.hub[k]] for k in range(3))
     normal = jnp.sum(jnp.cross(b - a, c - a, axis=0), axis=1)
     normal = normal / jnp.maximum(jnp.sqrt(jnp.sum(normal**2, axis=0)), 1e-30)

@@ -17,7 +17,7 @@ from gelbot.adsorption import adsorb
 from gelbot.field.lead_field import LeadField, current_density, potential_coefficients
 from gelbot.mechanics.batch import dot
 from gelbot.mechanics.elastic import rest_shape
-from gelbot.mechanics.implicit import Mechanics, Preconditioner, build_preconditioner, no_preconditioner, solve_step
+from gelbot.mechanics.implicit import Mechanics, Preconditioner, no_preconditioner, solve_step
 from gelbot.points import EssentialPoints, Observation, body_frame, observe
 
 FRESH = 4
@@ -123,19 +123,11 @@ def step(model: Model, state: State, field: AppliedField, dt: Array) -> tuple[St
     inflow = surface_inflow(model, state.positions, field)
     ads = adsorb(state.ads, inflow, gel.p_ele, gel.p_ads, dt, gel.adsorption_step)
     rest = rest_shape(model.mechanics.elastic, gel.p_l, ads)
-    state = jax.lax.while_loop(lambda s: jnp.any(s.strain > STALE), lambda s: refresh(model, s, rest, dt), state)
-    frame = body_frame(model.points, state.positions)
-    found, near = solve_step(model.mechanics, state.positions, state.velocities, rest, dt, state.near, frame)
-    strain = state.strain + jnp.maximum(found.iterations - FRESH, 0)
+    frame, is_old = body_frame(model.points, state.positions), jnp.any(state.strain > STALE)
+    found, near = solve_step(model.mechanics, state.positions, state.velocities, rest, dt, state.near, frame, is_old)
+    strain = jnp.where(is_old, 0, state.strain) + jnp.maximum(found.iterations - FRESH, 0)
     after = State(state.time + dt, found.x, (found.x - state.positions) / dt, ads, near, strain)
     return after, StepReport(found.iterations, found.residual)
-
-
-def refresh(model: Model, state: State, rest: Array, dt: Array) -> State:
-    """The same state with a preconditioner made for its present shape."""
-    frame = body_frame(model.points, state.positions)
-    near = build_preconditioner(model.mechanics, state.positions, state.velocities, rest, dt, frame)
-    return state._replace(near=near, strain=jnp.zeros_like(state.strain))
 
 
 def start(model: Model, positions: Array) -> State:

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-SMALL = 128
+SMALL = 256
 """Up to this size a block is inverted by its Cholesky factor."""
 
 

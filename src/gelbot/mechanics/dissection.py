@@ -35,14 +35,16 @@ SAMPLES = 8
 class Level(NamedTuple):
     """`B` fronts that are eliminated together, each with `s` nodes to eliminate and a border of `t` nodes that stay.
 
-    `pivots` (B, s): nodes, or the node count where a front has fewer. `entries` (B, s + t, s + t, k): where to find the
-    3 x 3 blocks whose sum each block of the front's matrix is, in the matrix's blocks followed by what the levels below
-    leave. `inputs` (B, s + t, k): where to find, in what the levels below leave to their borders, the forces to add.
+    `pivots` (B, s): nodes, or the node count where a front has fewer. `columns` (B, s + t, s, k): where to find the
+    3 x 3 blocks whose sum each block of the front's matrix in the columns of its pivots is, in the matrix's blocks
+    followed by what the levels below leave; `rest` (B, t, t, k): the same for its border, to which only they add.
+    `inputs` (B, s + t, k): where to find, in what the levels below leave to their borders, the forces to add.
     `outputs` (B, t): where the border's nodes stand in the solution, the levels above first.
     """
 
     pivots: Array
-    entries: Array
+    columns: Array
+    rest: Array
     inputs: Array
     outputs: Array
 
@@ -223,6 +225,7 @@ def _tables(fronts: list[Front], n: int, pairs: Ints) -> Dissection:
         pivots = np.full((len(group), s), n)
         outputs = np.zeros((len(group), t), dtype=np.int64)
         entries: list[tuple[Ints, Ints]] = []
+        rests: list[tuple[Ints, Ints]] = []
         inputs: list[tuple[Ints, Ints]] = []
         size = s + t
         for row, k in enumerate(group):
@@ -232,28 +235,24 @@ def _tables(fronts: list[Front], n: int, pairs: Ints) -> Dissection:
             nodes = np.concatenate([front.pivots, front.border])
             where = np.concatenate([np.arange(len(front.pivots)), s + np.arange(len(front.border))])
             position = dict(zip(nodes.tolist(), where.tolist(), strict=True))
-            own = block[front.pivots][:, nodes].tocoo()
-            i, j = where[own.row], where[own.col]
-            at_border = j >= s
-            base = row * size * size
-            entries.append((base + i * size + j, own.data.astype(np.int64)))
-            mirrored = block[nodes][:, front.pivots].tocoo()
-            i, j = where[mirrored.row], where[mirrored.col]
-            at_border = i >= s
-            entries.append((base + (i * size + j)[at_border], mirrored.data.astype(np.int64)[at_border]))
+            own = block[nodes][:, front.pivots].tocoo()
+            entries.append((row * size * s + where[own.row] * s + where[own.col], own.data.astype(np.int64)))
             for child in front.children:
                 border = fronts[child].border
                 wide = _width(child, groups, sizes)
                 at = np.array([position[node] for node in border.tolist()], dtype=np.int64)
                 own_place = np.arange(len(border))
-                target = base + at[:, None] * size + at[None, :]
-                source = blocks_at[child] + own_place[:, None] * wide + own_place[None, :]
-                entries.append((target.ravel(), source.ravel()))
+                i, j = (part.ravel() for part in np.meshgrid(at, at, indexing="ij"))
+                source = (blocks_at[child] + own_place[:, None] * wide + own_place[None, :]).ravel()
+                entries.append(((row * size * s + i * s + j)[j < s], source[j < s]))
+                kept = (i >= s) & (j >= s)
+                rests.append(((row * t * t + (i - s) * t + (j - s))[kept], source[kept]))
                 inputs.append((row * size + at, border_at[child] + own_place))
         levels.append(
             Level(
                 pivots=jnp.asarray(pivots, jnp.int32),
-                entries=_table(entries, (len(group), size, size)),
+                columns=_table(entries, (len(group), size, s)),
+                rest=_table(rests, (len(group), t, t)),
                 inputs=_table(inputs, (len(group), size)),
                 outputs=jnp.asarray(outputs, jnp.int32),
             )
@@ -277,4 +276,4 @@ def _table(found: list[tuple[Ints, Ints]], shape: tuple[int, ...]) -> Array:
     rank = np.arange(len(places)) - np.repeat(np.cumsum(counts) - counts, counts)
     table = np.zeros((int(np.prod(shape)), int(counts.max(initial=0))), dtype=np.int32)
     table[places, rank] = sources
-    return jnp.asarray(table.reshape(*shape, -1), jnp.int32)
+    return jnp.asarray(table.reshape(*shape, table.shape[1]), jnp.int32)

@@ -114,43 +114,52 @@ def balance(mech: Mechanics, begin: Beginning, u: Array) -> tuple[Array, Array]:
 
 
 def solve_step(
-    mech: Mechanics, x0: Array, v0: Array, rest: Array, dt: Array, near: Preconditioner, frame: Array
+    mech: Mechanics,
+    x0: Array,
+    v0: Array,
+    rest: Array,
+    dt: Array,
+    near: Preconditioner,
+    frame: Array,
+    is_old: Array | bool = False,
 ) -> tuple[Solution, Preconditioner]:
     """Solve for the positions at the end of a step `dt` [s]; the solution's residual is relative to `force_scale`.
 
     `x0` [m], `v0` [m/s], shape (3, n); the elastic body's `rest` shape; `frame` (3, 3) the body's frame now: the
-    preconditioner is turned with the body. Where the iteration is slow a new preconditioner is made on the way; the
-    last one comes back with the solution.
+    preconditioner is turned with the body. One that `is_old` is replaced at once, and where the iteration is slow a new
+    one is made on the way; the last one comes back with the solution.
     """
     begin = begin_step(mech, x0, v0, rest, dt)
+    allowed = mech.tolerance * mech.force_scale
 
     # The unknown is the displacement, which single precision holds far more finely than the positions.
     def objective(u: Array) -> tuple[Array, Array]:
         energy, forces = balance(mech, begin, u)
         return energy, -forces
 
-    def attempt(u: Array, near: Preconditioner) -> Solution:
-        return minimise(
+    def unfinished(carry: tuple[Solution, Preconditioner, Array]) -> Array:
+        found, _, _ = carry
+        return jnp.any(found.residual > allowed) & jnp.all(found.iterations < mech.max_iterations)
+
+    def attempt(carry: tuple[Solution, Preconditioner, Array]) -> tuple[Solution, Preconditioner, Array]:
+        before, near, is_old = carry
+        near = jax.lax.cond(
+            is_old,
+            lambda: build_preconditioner(mech, x0 + before.x, before.x / dt, rest, dt, frame),
+            lambda: near,
+        )
+        found = minimise(
             objective=objective,
             precondition=lambda g: apply_inverse(mech, near, frame, g),
-            x=u,
-            tolerance=mech.tolerance * mech.force_scale,
+            x=before.x,
+            tolerance=allowed,
             max_iterations=jnp.minimum(PATIENCE, mech.max_iterations),
         )
+        return found._replace(iterations=found.iterations + before.iterations), near, jnp.asarray(True)
 
-    def unfinished(carry: tuple[Solution, Preconditioner]) -> Array:
-        found, _ = carry
-        return jnp.any(found.residual > mech.tolerance * mech.force_scale) & jnp.all(
-            found.iterations < mech.max_iterations
-        )
-
-    def renew(carry: tuple[Solution, Preconditioner]) -> tuple[Solution, Preconditioner]:
-        before, _ = carry
-        fresh = build_preconditioner(mech, x0 + before.x, before.x / dt, rest, dt, frame)
-        found = attempt(before.x, fresh)
-        return Solution(found.x, found.residual, found.iterations + before.iterations), fresh
-
-    found, near = jax.lax.while_loop(unfinished, renew, (attempt(dt * v0, near), near))
+    batch = x0.shape[2:]
+    guess = Solution(dt * v0, jnp.full(batch, jnp.inf, x0.dtype), jnp.zeros(batch, int))
+    found, near, _ = jax.lax.while_loop(unfinished, attempt, (guess, near, jnp.asarray(is_old)))
     return Solution(x0 + found.x, found.residual / mech.force_scale, found.iterations), near
 
 

@@ -32,31 +32,31 @@ def factorise(dissection: Dissection, diagonal: Array, pairs: Array, dtype: jnp.
     found = jnp.concatenate([zero, diagonal, pairs, pairs.transpose(0, 2, 1)]).reshape(-1, 9)
     inverses, transfers = [], []
     for level in dissection.levels:
-        fronts, s, size = level.pivots.shape[0], 3 * level.pivots.shape[1], 3 * level.entries.shape[1]
-        matrix = _front_matrices(level, found, diagonal.shape[0])
-        inverse = block_inverse(matrix[:, :s, :s])
-        inverses.append(inverse.astype(dtype))
-        coupling = matrix[:, s:, :s]
+        s, t = 3 * level.pivots.shape[1], level.outputs.shape[1]
+        columns = _front_blocks(found, level.columns)
+        # Rows of pivots that pad a front are those of the unit matrix.
+        padding = jnp.repeat(level.pivots == diagonal.shape[0], 3, axis=1).astype(found.dtype)
+        inverse = block_inverse(columns[:, :s] + padding[:, :, None] * jnp.eye(s, dtype=found.dtype))
+        coupling = columns[:, s:]
         transfer = coupling @ inverse
+        inverses.append(inverse.astype(dtype))
         transfers.append(transfer.astype(dtype))
-        if size > s:
-            left = matrix[:, s:, s:] - transfer @ coupling.transpose(0, 2, 1)
-            t = (size - s) // 3
-            left = left.reshape(fronts, t, 3, t, 3).transpose(0, 1, 3, 2, 4).reshape(-1, 9)
+        if t > 0:
+            left = -(transfer @ coupling.transpose(0, 2, 1))
+            if level.rest.shape[-1]:
+                left = left + _front_blocks(found, level.rest)
+            left = left.reshape(-1, t, 3, t, 3).transpose(0, 1, 3, 2, 4).reshape(-1, 9)
             found = jnp.concatenate([found, left])
     return Factor(tuple(inverses), tuple(transfers))
 
 
-def _front_matrices(level: Level, found: Array, node_count: int) -> Array:
-    """The fronts' matrices, shape (B, 3 s + 3 t, 3 s + 3 t); the rows of pivots that pad a front are those of 1."""
-    fronts, size = level.entries.shape[:2]
-    blocks = found[level.entries[..., 0]]
-    for k in range(1, level.entries.shape[-1]):
-        blocks = blocks + found[level.entries[..., k]]
-    matrix = blocks.reshape(fronts, size, size, 3, 3).transpose(0, 1, 3, 2, 4).reshape(fronts, 3 * size, 3 * size)
-    padding = jnp.repeat(level.pivots == node_count, 3, axis=1).astype(found.dtype)
-    padding = jnp.pad(padding, ((0, 0), (0, 3 * size - padding.shape[1])))
-    return matrix + padding[:, :, None] * jnp.eye(3 * size, dtype=found.dtype)
+def _front_blocks(found: Array, table: Array) -> Array:
+    """Matrices (B, 3 r, 3 c) whose 3 x 3 blocks are sums of `found` (m, 9) at the places `table` (B, r, c, k)."""
+    blocks = found[table[..., 0]]
+    for k in range(1, table.shape[-1]):
+        blocks = blocks + found[table[..., k]]
+    fronts, rows, columns = table.shape[:3]
+    return blocks.reshape(fronts, rows, columns, 3, 3).transpose(0, 1, 3, 2, 4).reshape(fronts, 3 * rows, 3 * columns)
 
 
 def solve(dissection: Dissection, factor: Factor, forces: Array) -> Array:

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-MEMORY = 6
+MEMORY = 4
 """Pairs kept."""
 SUFFICIENT_DECREASE = 1e-4
 """Share of the decrease promised by the slope that a step must bring."""
