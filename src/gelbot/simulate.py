@@ -18,6 +18,7 @@ from gelbot.field.lead_field import LeadField, current_density, potential_coeffi
 from gelbot.mechanics.batch import dot
 from gelbot.mechanics.elastic import rest_shape
 from gelbot.mechanics.implicit import Mechanics, Preconditioner, no_preconditioner, solve_step
+from gelbot.mechanics.self_contact import ContactPairs, ContactSurface, find_pairs, stale
 from gelbot.points import EssentialPoints, Observation, body_frame, observe
 
 FRESH = 4
@@ -56,8 +57,9 @@ class Model(NamedTuple):
 class State(NamedTuple):
     """All that changes: `time` [s], `positions` [m] and `velocities` [m/s] (3, n), `ads` (f,).
 
-    `near` is the solver's warm start, and `strain` the iterations it has cost by being old: they change how fast a step
-    is solved, not its solution.
+    `near` is the solver's warm start, and `strain` the iterations it has cost by being old; `pairs` lists the parts of
+    the body that may soon meet, None where it cannot meet itself. They change how fast a step is solved, not its
+    solution.
     """
 
     time: Array
@@ -66,13 +68,18 @@ class State(NamedTuple):
     ads: Array
     near: Preconditioner
     strain: Array
+    pairs: ContactPairs | None
 
 
 class StepReport(NamedTuple):
-    """How the implicit step was solved: `iterations`, and the `residual` relative to the body's net weight."""
+    """How the implicit step was solved: `iterations`, and the `residual` relative to the body's net weight.
+
+    `missed`: contacts of the body with itself for which there was no room; 0, or the step is not to be trusted.
+    """
 
     iterations: Array
     residual: Array
+    missed: Array
 
 
 class Frame(NamedTuple):
@@ -124,15 +131,29 @@ def step(model: Model, state: State, field: AppliedField, dt: Array) -> tuple[St
     ads = adsorb(state.ads, inflow, gel.p_ele, gel.p_ads, dt, gel.adsorption_step)
     rest = rest_shape(model.mechanics.elastic, gel.p_l, ads)
     frame, is_old = body_frame(model.points, state.positions), jnp.any(state.strain > STALE)
-    found, near = solve_step(model.mechanics, state.positions, state.velocities, rest, dt, state.near, frame, is_old)
+    pairs = near_pairs(model.mechanics.surface, state.pairs, state.positions, frame)
+    found, near = solve_step(
+        model.mechanics, state.positions, state.velocities, rest, dt, state.near, frame, is_old, pairs
+    )
     strain = jnp.where(is_old, 0, state.strain) + jnp.maximum(found.iterations - FRESH, 0)
-    after = State(state.time + dt, found.x, (found.x - state.positions) / dt, ads, near, strain)
-    return after, StepReport(found.iterations, found.residual)
+    after = State(state.time + dt, found.x, (found.x - state.positions) / dt, ads, near, strain, pairs)
+    missed = jnp.zeros_like(found.iterations) if pairs is None else pairs.missed
+    return after, StepReport(found.iterations, found.residual, missed)
+
+
+def near_pairs(
+    surface: ContactSurface | None, pairs: ContactPairs | None, positions: Array, frame: Array
+) -> ContactPairs | None:
+    """`pairs`, or new ones where the body at `positions` [m] has changed its shape since they were found."""
+    if surface is None or pairs is None:
+        return None
+    old = jnp.any(stale(surface, pairs, positions, frame))
+    return jax.lax.cond(old, lambda: find_pairs(surface, positions, frame), lambda: pairs)
 
 
 def start(model: Model, positions: Array) -> State:
     """A body at rest without adsorption at `positions` [m], shape (3, n), or a batch of them, (3, n, b)."""
-    batch = positions.shape[2:]
+    batch, surface = positions.shape[2:], model.mechanics.surface
     # The first step makes the preconditioner: it finds the empty one too old.
     return State(
         time=jnp.zeros((), positions.dtype),
@@ -141,6 +162,7 @@ def start(model: Model, positions: Array) -> State:
         ads=jnp.zeros((model.gel.faces.shape[1], *batch), positions.dtype),
         near=no_preconditioner(model.mechanics, batch),
         strain=jnp.full(batch, STALE + 1),
+        pairs=None if surface is None else find_pairs(surface, positions, body_frame(model.points, positions)),
     )
 
 
@@ -163,7 +185,7 @@ def rollout(
         memory, voltages, command = controller(memory, state.time, observe(model.points, state.positions))
         field = apply(model, voltages)
         state, report = jax.lax.scan(lambda s, _: step(model, s, field, dt), state, None, length=steps_per_period)
-        worst = StepReport(jnp.max(report.iterations, axis=0), jnp.max(report.residual, axis=0))
+        worst = jax.tree.map(lambda values: jnp.max(values, axis=0), report)
         seen = observe(model.points, state.positions)
         return (state, memory), Frame(state.time, state.positions, state.ads, voltages, seen, command, worst)
 

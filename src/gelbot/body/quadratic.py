@@ -6,13 +6,14 @@ One layer of linear tetrahedra locks when a sheet bends; ten-node tetrahedra ben
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelbot.body.lattice import Body, tetrahedron_volumes
 
-EDGES = ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))
+EDGES = tuple(combinations(range(4), 2))
 """The corners of a tetrahedron's edges, in the order of its rows 4 to 9, which are the nodes in their middles."""
 CORNER_SHARE, EDGE_SHARE = 1.0 / 36.0, 4.0 / 27.0
 """What a corner and a mid-edge node get of a tetrahedron's volume: the diagonal of its consistent mass matrix, scaled
@@ -21,20 +22,24 @@ so that the sum is right (Hinton, Rock and Zienkiewicz 1976). Equal shares of th
 
 
 def with_midpoints(body: Body) -> Body:
-    """The same body with a node in the middle of every edge of its tetrahedra, of which `tetrahedra` (10, t) then tells.
+    """The same body with a node in the middle of every edge of its tetrahedra, which become `tetrahedra` (10, t).
 
-    The old nodes, the vertices, keep their numbers; the midpoints follow. Rows 0 to 3 of `tetrahedra` are corners as
-    before, rows 4 to 9 the midpoints of `EDGES`. `node_volume` is lumped anew. Essential points and the surface's area
-    stay with the vertices: midpoints have no weight in them. Springs, which know nothing of midpoints, stay too.
+    The old nodes, the vertices, keep their numbers; the midpoints follow. Rows 0 to 3 of `tetrahedra` are corners, rows
+    4 to 9 the midpoints of `EDGES`. Every column ascends, so that of two nodes of any tetrahedron the first is the one
+    with the smaller number; for that, corners give up their orientation: some tetrahedra are left-handed.
+    `node_volume` is lumped anew. Essential points and the surface's area stay with the vertices: midpoints have no
+    weight in them. Springs, which know nothing of midpoints, stay too.
     """
     vertex_count = body.nodes.shape[1]
-    ends = np.sort(np.concatenate([body.tetrahedra[[i, j]] for i, j in EDGES], axis=1), axis=0)
+    corners = np.sort(body.tetrahedra, axis=0)
+    # Ascending corners give ascending pairs of ends, and `unique` numbers the pairs in that order.
+    ends = np.concatenate([corners[[i, j]] for i, j in EDGES], axis=1)
     edges, index = np.unique(ends, axis=1, return_inverse=True)
     midpoints = vertex_count + index.reshape(len(EDGES), -1)
     nodes = np.concatenate([body.nodes, body.nodes[:, edges].mean(axis=1)], axis=1)
     volumes = tetrahedron_volumes(body.nodes, body.tetrahedra)
     node_volume = np.zeros(nodes.shape[1])
-    np.add.at(node_volume, body.tetrahedra, np.broadcast_to(CORNER_SHARE * volumes, body.tetrahedra.shape))
+    np.add.at(node_volume, corners, np.broadcast_to(CORNER_SHARE * volumes, corners.shape))
     np.add.at(node_volume, midpoints, np.broadcast_to(EDGE_SHARE * volumes, midpoints.shape))
 
     def padded(weights: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -43,7 +48,7 @@ def with_midpoints(body: Body) -> Body:
     return replace(
         body,
         nodes=nodes,
-        tetrahedra=np.concatenate([body.tetrahedra, midpoints]),
+        tetrahedra=np.concatenate([corners, midpoints]),
         node_volume=node_volume,
         node_area=padded(body.node_area),
         centre=padded(body.centre),

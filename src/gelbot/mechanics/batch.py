@@ -6,14 +6,27 @@ one where the other operand has it.
 
 from __future__ import annotations
 
+import jax
 from jax import Array
+from jax.experimental.layout import Layout, with_layout_constraint
 
 
 def wide(constant: Array, like: Array, dims: int) -> Array:
-    """`constant` as a factor for `like`, of which one robot's have `dims` dimensions: axes of 1 for batch where needed."""
-    return constant if like.ndim == dims or constant.ndim == 0 else constant[..., None]
+    """`constant` as a factor for `like`, of which one robot's have `dims` dimensions: an axis of 1 for a batch."""
+    return constant if like.ndim == dims or constant.ndim != dims else constant[..., None]
 
 
 def dot(a: Array, b: Array) -> Array:
     """Scalar products of vectors, space first: term by term, since a reduction is not vectorised by the compiler."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@jax.custom_jvp
+def settled(a: Array) -> Array:
+    """`a`, computed once and laid out in the order of its axes: fused with what follows, nothing would be vectorised."""
+    return with_layout_constraint(a, Layout(tuple(range(a.ndim))))
+
+
+@settled.defjvp
+def _settled_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    return settled(*primals), tangents[0]

@@ -28,11 +28,13 @@ from gelbot.mechanics.contact import (
     normal_stiffness,
 )
 from gelbot.mechanics.dissection import Dissection
-from gelbot.mechanics.elastic import Elastic, Undeformed, elastic_at, elastic_balance, elastic_blocks
+from gelbot.mechanics.elastic import Elastic, Strained, elastic_at, elastic_balance, elastic_blocks
 from gelbot.mechanics.medium import drag_forces, gravity_forces
 from gelbot.mechanics.multifrontal import Factor, factorise, solve
 from gelbot.mechanics.obstacles import Obstacles, gaps
+from gelbot.mechanics.pair_contact import PairLaw, Touching, pair_balance, pair_blocks, touch
 from gelbot.mechanics.quasi_newton import Solution, minimise
+from gelbot.mechanics.self_contact import ContactPairs, ContactSurface
 
 PATIENCE = 40
 """Iterations after which a step asks for a new preconditioner."""
@@ -42,9 +44,9 @@ class Mechanics(NamedTuple):
     """Constants of the body and its surroundings, SI units; index letters n nodes, k obstacles.
 
     `elastic`: what the body is made of; `dissection`: the order in which its stiffness is inverted. `node_mass` [kg] and
-    `weight` less buoyancy [N] (n,); `obstacles`, the floor among them, with their friction; `contact_stiffness` [N/m],
-    `contact_layer` [m], `stick_speed` [m/s], `drag` [1/s]; `tolerance` (times `force_scale` [N]) and `max_iterations`
-    of the step.
+    `weight` less buoyancy [N] (n,); `obstacles`, the floor among them, with their friction; `surface`, None for a body
+    that cannot meet itself, and its `self_friction`; `contact_stiffness` [N/m], `contact_layer` [m], `stick_speed`
+    [m/s], `drag` [1/s]; `tolerance` (times `force_scale` [N]) and `max_iterations` of the step.
     """
 
     elastic: Elastic
@@ -52,6 +54,8 @@ class Mechanics(NamedTuple):
     node_mass: Array
     weight: Array
     obstacles: Obstacles
+    surface: ContactSurface | None
+    self_friction: Array
     contact_stiffness: Array
     contact_layer: Array
     stick_speed: Array
@@ -70,21 +74,33 @@ class Preconditioner(NamedTuple):
 
 class Beginning(NamedTuple):
     """A step's beginning: positions [m] and velocities [m/s] (3, n), `dt` [s], the elastic body there, and for each
-    obstacle the unit `normal` (k, 3, n) and the normal force `pressed` [N] (k, n) that its friction goes by."""
+    obstacle the unit `normal` (k, 3, n) and the normal force `pressed` [N] (k, n) that its friction goes by; where the
+    body touches itself, `touching`."""
 
     x: Array
     v: Array
     dt: Array
-    elastic: Undeformed
+    elastic: Strained
     normal: Array
     pressed: Array
+    touching: Touching | None
 
 
-def begin_step(mech: Mechanics, x0: Array, v0: Array, rest: Array, dt: Array) -> Beginning:
-    """What a step `dt` [s] from `x0` [m], `v0` [m/s], shape (3, n), with the body's `rest` shape, starts from."""
+def begin_step(
+    mech: Mechanics, x0: Array, v0: Array, rest: Array, dt: Array, pairs: ContactPairs | None = None
+) -> Beginning:
+    """What a step `dt` [s] from `x0` [m], `v0` [m/s], shape (3, n), with the body's `rest` shape, starts from.
+
+    `pairs` of the body's surface that may meet, None where it has none.
+    """
     gap, normal = gaps(mech.obstacles, x0)
     pressed = normal_forces(gap, mech.contact_stiffness, mech.contact_layer)
-    return Beginning(x0, v0, dt, elastic_at(mech.elastic, x0, rest), normal, pressed)
+    touching = None if mech.surface is None or pairs is None else touch(mech.surface, pairs, _pair_law(mech), x0)
+    return Beginning(x0, v0, dt, elastic_at(mech.elastic, x0, rest), normal, pressed, touching)
+
+
+def _pair_law(mech: Mechanics) -> PairLaw:
+    return PairLaw(mech.contact_stiffness, mech.contact_layer, mech.self_friction, mech.stick_speed)
 
 
 def balance(mech: Mechanics, begin: Beginning, u: Array) -> tuple[Array, Array]:
@@ -110,6 +126,9 @@ def balance(mech: Mechanics, begin: Beginning, u: Array) -> tuple[Array, Array]:
         )
         push = normal_forces(gap, mech.contact_stiffness, mech.contact_layer)
         forces = forces + push * normal - friction_grip(slip, pressed, friction, mech.stick_speed, dt) * slip
+    if begin.touching is not None:
+        own = pair_balance(begin.touching, _pair_law(mech), dt, begin.x + u, u)
+        energy, forces = energy + own[0], forces + own[1]
     return energy, forces
 
 
@@ -122,14 +141,15 @@ def solve_step(
     near: Preconditioner,
     frame: Array,
     is_old: Array | bool = False,
+    pairs: ContactPairs | None = None,
 ) -> tuple[Solution, Preconditioner]:
     """Solve for the positions at the end of a step `dt` [s]; the solution's residual is relative to `force_scale`.
 
     `x0` [m], `v0` [m/s], shape (3, n); the elastic body's `rest` shape; `frame` (3, 3) the body's frame now: the
     preconditioner is turned with the body. One that `is_old` is replaced at once, and where the iteration is slow a new
-    one is made on the way; the last one comes back with the solution.
+    one is made on the way; the last one comes back with the solution. `pairs` as for `begin_step`.
     """
-    begin = begin_step(mech, x0, v0, rest, dt)
+    begin = begin_step(mech, x0, v0, rest, dt, pairs)
     allowed = mech.tolerance * mech.force_scale
 
     # The unknown is the displacement, which single precision holds far more finely than the positions.
@@ -145,7 +165,7 @@ def solve_step(
         before, near, is_old = carry
         near = jax.lax.cond(
             is_old,
-            lambda: build_preconditioner(mech, x0 + before.x, before.x / dt, rest, dt, frame),
+            lambda: build_preconditioner(mech, begin, before.x, rest, frame),
             lambda: near,
         )
         found = minimise(
@@ -174,12 +194,16 @@ def apply_inverse(mech: Mechanics, near: Preconditioner, frame: Array, g: Array)
     return jnp.einsum("ij...,nj...->in...", turn, found).astype(g.dtype) * mech.force_scale
 
 
-def build_preconditioner(mech: Mechanics, x: Array, v: Array, rest: Array, dt: Array, frame: Array) -> Preconditioner:
-    """Invert the stiffness of a step `dt` [s] in the shape `x` [m], with what would make it indefinite left out.
+def build_preconditioner(
+    mech: Mechanics, begin: Beginning, u: Array, rest: Array, frame: Array
+) -> Preconditioner:
+    """Invert the stiffness of a step that began at `begin`, after a displacement `u` [m], (3, n), without what would
+    make it indefinite.
 
     In double precision: the rigid motions of the body are a million times softer than its springs.
     """
-    x, v, rest = (jax.lax.stop_gradient(a).astype(jnp.float64) for a in (x, v, rest))
+    x, v, rest = (a.astype(jnp.float64) for a in (begin.x + u, u / begin.dt, rest))
+    dt = begin.dt
     own, between = elastic_blocks(mech.elastic, x, rest)
     mass = wide(mech.node_mass, x[0], 1)
     inertia = mass / dt**2 + mech.drag * mass / dt
@@ -194,6 +218,8 @@ def build_preconditioner(mech: Mechanics, x: Array, v: Array, rest: Array, dt: A
         own = own + (stiff - grip) * normal[k][:, None] * normal[k][None]
         for axis in range(3):
             own = own.at[axis, axis].add(grip)
+    if begin.touching is not None:
+        own = own + pair_blocks(begin.touching, _pair_law(mech), dt, x, v)
     one = lambda own, between: factorise(mech.dissection, own, between, jnp.float32)  # noqa: E731
     own, between = jnp.moveaxis(own, 2, 0), jnp.moveaxis(between, 2, 0)
     factor = one(own, between) if x.ndim == 2 else jax.vmap(one, -1)(own, between)

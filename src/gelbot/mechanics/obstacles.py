@@ -33,7 +33,7 @@ class Spheres(NamedTuple):
 
 
 class Cylinders(NamedTuple):
-    """Solid cylinders with flat ends: `centre` [m] and unit `axis`, (3, k); `radius`, `length` [m], `friction`, (k,)."""
+    """Solid, with flat ends: `centre` [m] and unit `axis`, (3, k); `radius`, `length` [m] and `friction`, (k,)."""
 
     centre: Array
     axis: Array
@@ -88,15 +88,12 @@ def gaps(obstacles: Obstacles, x: Array) -> tuple[Array, Array]:
 
     Negative inside. Kinds that are empty cost nothing.
     """
+    planes, spheres, cylinders, boxes = obstacles
     parts = [
-        measure(kind, x)
-        for kind, measure in (
-            (obstacles.planes, _plane_gaps),
-            (obstacles.spheres, _sphere_gaps),
-            (obstacles.cylinders, _cylinder_gaps),
-            (obstacles.boxes, _box_gaps),
-        )
-        if kind.friction.shape[0] > 0
+        *([_plane_gaps(planes, x)] if planes.friction.shape[0] else []),
+        *([_sphere_gaps(spheres, x)] if spheres.friction.shape[0] else []),
+        *([_cylinder_gaps(cylinders, x)] if cylinders.friction.shape[0] else []),
+        *([_box_gaps(boxes, x)] if boxes.friction.shape[0] else []),
     ]
     if not parts:
         return jnp.zeros((0, *x.shape[1:]), x.dtype), jnp.zeros((0, *x.shape), x.dtype)

@@ -27,6 +27,8 @@ import numpy as np
 from jax import Array
 from numpy.typing import NDArray
 
+from gelbot.mechanics.batch import dot
+
 FAR = 1.0
 """Gap [m] of what does not touch."""
 PATCH = 8
@@ -78,10 +80,11 @@ class ContactPairs(NamedTuple):
     """Candidates, c of them: those of a node and a face first, then those of two edges.
 
     `nodes` (4, c): a node and the corners of a face, or the ends of two edges; `things` (2, c): numbers of node and
-    face, or of both edges; `valid` (c,). What `settle` decides, (c,): `share` in [0, 1] of a contact; `side`: the sign
-    of a distance from an edge or a corner, of the cross product of two edges; `over`: the node stands over the face.
-    `count` candidates were found, `missed` more (or pairs of patches) found no place. `depth` [m]: as far behind a
-    surface contact is possible. `local` [m] (3, n): where the nodes were, seen from the body.
+    face, or of both edges; `valid` (c,). What `settle` decides: the `share` of a contact, in [0, 1], and the `side`,
+    the sign of a distance from an edge or a corner or of the cross product of two edges, (c,); for nodes and faces
+    only, whether a node stands `over` its face. `found` candidates are there, `missed` more (or pairs of patches) got
+    no place. `depth` [m]: as far behind a surface contact is possible. `local` [m] (3, n): where the nodes were, seen
+    from the body.
     """
 
     nodes: Array
@@ -90,7 +93,7 @@ class ContactPairs(NamedTuple):
     share: Array
     side: Array
     over: Array
-    count: Array
+    found: Array
     missed: Array
     depth: Array
     local: Array
@@ -154,7 +157,7 @@ def contact_surface(
 
 
 def _places(room: int, first: int, second: int) -> tuple[Array, Array, Array]:
-    return jnp.arange(min(first * second, 8 * max(first, second))), jnp.arange(2 * room), jnp.arange(room)
+    return jnp.arange(min(first * second, 16 * max(first, second))), jnp.arange(4 * room), jnp.arange(room)
 
 
 def _adjacency(
@@ -198,7 +201,7 @@ def _patches(
                 halves.append(part)
                 continue
             widest = int(np.argmax(np.ptp(points[:, part], axis=1)))
-            middle = (len(part) + 1) // 2
+            middle = PATCH * ((-(-len(part) // PATCH) + 1) // 2)  # all patches but the last are full
             order = part[np.argsort(points[widest, part], kind="stable")]
             halves += [order[:middle], order[middle:]]
         parts = halves
@@ -266,13 +269,13 @@ def find_pairs(surface: ContactSurface, positions: Array, frame: Array) -> Conta
         valid=valid,
         share=unknown,
         side=unknown,
-        over=jnp.zeros(valid.shape, bool),
-        count=jnp.sum(valid),
+        over=jnp.zeros(met.shape, bool),
+        found=jnp.sum(valid),
         missed=lost + missed + lost_edges + missed_edges,
         depth=surface.half_thickness.astype(positions.dtype),
         local=_seen_from_body(positions, frame),
     )
-    return jax.lax.cond(pairs.count > 0, lambda p: settle(surface, p, positions), lambda p: p, pairs)
+    return jax.lax.cond(pairs.found > 0, lambda p: settle(surface, p, positions), lambda p: p, pairs)
 
 
 @_each_robot
@@ -282,7 +285,7 @@ def stale(surface: ContactSurface, pairs: ContactPairs, positions: Array, frame:
     Rigid motions change no distance: how well `frame` (3, 3[, b]) follows the body decides only how often to look.
     """
     moved = _seen_from_body(positions, frame) - pairs.local
-    return jnp.max(jnp.sum(moved**2, axis=0)) > (0.5 * surface.margin) ** 2
+    return jnp.max(dot(moved, moved)) > (0.5 * surface.margin) ** 2
 
 
 def _seen_from_body(positions: Array, frame: Array) -> Array:
@@ -291,10 +294,21 @@ def _seen_from_body(positions: Array, frame: Array) -> Array:
 
 def _first_places(found: Array, places: Array) -> tuple[Array, Array, Array]:
     """Indices of the first true entries of `found`, one for each place; which places are taken; how many got none."""
-    running = jnp.cumsum(found.ravel(), dtype=jnp.int32)
-    index = jnp.searchsorted(running, places.astype(jnp.int32) + 1)
-    index = jnp.minimum(index, running.shape[0] - 1)
-    return index, places < running[-1], jnp.maximum(0, running[-1] - places.shape[0])
+    # Running sums are slow: they are taken over words of 32 bits, and the bits in a word found by halving it.
+    size = found.size
+    bits = jnp.pad(found.ravel(), (0, -size % 32)).reshape(-1, 32)
+    words = jnp.sum(jnp.where(bits, jnp.uint32(1) << jnp.arange(32, dtype=jnp.uint32), 0), axis=1, dtype=jnp.uint32)
+    running = jnp.cumsum(jax.lax.population_count(words).astype(jnp.int32))
+    order = places.astype(jnp.int32)
+    word = jnp.minimum(jnp.searchsorted(running, order + 1), words.shape[0] - 1)
+    rest, before = words[word], order - jnp.where(word > 0, running[word - 1], 0)
+    index = 32 * word.astype(jnp.int32)
+    for width in (16, 8, 4, 2, 1):
+        below = jax.lax.population_count(rest & jnp.uint32(2**width - 1)).astype(jnp.int32)
+        later = before >= below
+        rest = jnp.where(later, rest >> width, rest)
+        before, index = before - jnp.where(later, below, 0), index + jnp.where(later, width, 0)
+    return jnp.minimum(index, size - 1), order < running[-1], jnp.maximum(0, running[-1] - order.shape[0])
 
 
 def _gathered(found: Array, places: Array, columns: tuple[Array, ...]) -> tuple[tuple[Array, ...], Array, Array]:
@@ -326,16 +340,24 @@ def _near(
     centre_2, radius_2 = _balls(positions, second)
     ball_1 = _patch_balls(centre_1, radius_1, first_patches)
     ball_2 = _patch_balls(centre_2, radius_2, second_patches)
-    close = may_meet & (_squares(ball_1[0][:, :, None], ball_2[0][:, None]) < (ball_1[1][:, None] + ball_2[1] + reach) ** 2)
+    close = may_meet & (
+        _squares(ball_1[0][:, :, None], ball_2[0][:, None]) < (ball_1[1][:, None] + ball_2[1] + reach) ** 2
+    )
     index, taken, lost = _first_places(close, places[0])
 
     def look(_: None) -> tuple[tuple[Array, Array], Array, Array]:
         i, j = first_patches[:, index // may_meet.shape[1]], second_patches[:, index % may_meet.shape[1]]
-        real = (taken & (i >= 0))[:, None] & (taken & (j >= 0))[None]
-        square = _squares(centre_1[:, i][:, :, None], centre_2[:, j][:, None])
         rest_1, rest_2 = _balls(surface.rest, first)[0], _balls(surface.rest, second)[0]
-        apart = _squares(rest_1[:, i][:, :, None], rest_2[:, j][:, None]) >= surface.exclusion**2
-        near = real & apart & (square < (radius_1[i][:, None] + radius_2[j][None] + reach) ** 2)
+        # Gathered once, before all pairs of a patch pair are formed: fused, each pair would gather its own.
+        one, other = jax.lax.optimization_barrier(
+            (
+                (centre_1[:, i], rest_1[:, i], jnp.where(taken & (i >= 0), radius_1[i] + reach, -jnp.inf)),
+                (centre_2[:, j], rest_2[:, j], jnp.where(taken & (j >= 0), radius_2[j], -jnp.inf)),
+            )
+        )
+        within = jnp.maximum(one[2][:, None] + other[2], 0.0)
+        near = _squares(one[0][:, :, None], other[0][:, None]) < within**2
+        near = near & (_squares(one[1][:, :, None], other[1][:, None]) >= surface.exclusion**2)
         if first is second:
             near = near & ((index // may_meet.shape[1] != index % may_meet.shape[1]) | (i[:, None] < j[None]))
         place, found, missed = _first_places(near, places[1])
@@ -358,7 +380,7 @@ def _patch_balls(centre: Array, radius: Array, patches: Array) -> tuple[Array, A
 
 
 def _squares(a: Array, b: Array) -> Array:
-    return jnp.sum((a - b) ** 2, axis=0)
+    return (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2
 
 
 @_each_robot
@@ -377,9 +399,9 @@ def settle(surface: ContactSurface, pairs: ContactPairs, x0: Array) -> ContactPa
     choices = jnp.concatenate([normals[:, None, face], beyond, corner_normals[:, corners[1:]]], axis=1)
     pseudonormal = jnp.take_along_axis(choices, part[None, None], axis=1)[:, 0]
     away = x0[:, node] - jnp.sum(weights * x0[:, corners[1:]], axis=1)
-    height = jnp.sum(away * pseudonormal, axis=0)
+    height = dot(away, pseudonormal)
     outside = height >= 0.0
-    length = jnp.sqrt(jnp.sum(pseudonormal**2, axis=0))
+    length = jnp.sqrt(dot(pseudonormal, pseudonormal))
     possible = outside | ((distance < pairs.depth) & (over | (-height > ALIGNED * length * distance)))
     share = _node_shares(2 * node + outside, distance, over, pairs.valid[:met] & possible, surface.layer, x0.shape[1])
 
@@ -387,18 +409,22 @@ def settle(surface: ContactSurface, pairs: ContactPairs, x0: Array) -> ContactPa
     return pairs._replace(
         share=jnp.concatenate([share, crossed]),
         side=jnp.concatenate([jnp.where(outside, 1.0, -1.0).astype(x0.dtype), side]),
-        over=pairs.over.at[:met].set(over),
+        over=over,
     )
 
 
-def _node_shares(group: Array, distance: Array, over: Array, possible: Array, layer: Array, count: Array) -> Array:
+def _node_shares(group: Array, distance: Array, over: Array, possible: Array, layer: Array, count: int) -> Array:
     """How much of one contact each pair is; `group` is 2 node + (outside the surface).
 
-    Of what a node is outside of (or inside of) the closest counts; farther ones fade over CREASE layers.
+    Of what a node is outside of (or inside of) the closest counts; farther ones fade over CREASE layers. An edge or
+    a corner counts only where nothing is closer; the sign of a pseudonormal means nothing elsewhere: a node over one
+    face of the rim is behind the edges of the other.
     """
-    least = jax.ops.segment_min(jnp.where(possible, distance, jnp.inf), group, 2 * count)[group]
+    shortest = jax.ops.segment_min(jnp.where(possible, distance, jnp.inf), group, 2 * count)
+    least, opposite = shortest[group], shortest[group ^ 1]
     fade = jnp.clip(1.0 - (distance - least) / (CREASE * layer), 0.0, 1.0)
-    tied = distance <= least * (1.0 + 1e-5) + 1e-4 * layer
+    closest = jnp.where(group % 2 == 1, least, jnp.minimum(least, opposite))
+    tied = distance <= closest * (1.0 + 1e-5) + 1e-4 * layer
     part = jnp.where(possible, jnp.where(over, fade, tied), 0.0)
     # Where the node crosses one face of a crease it changes the group: close to zero both groups are one.
     close = jnp.clip(1.0 - distance / (CREASE * layer), 0.0, 1.0)
@@ -418,9 +444,9 @@ def _edge_shares(surface: ContactSurface, pairs: ContactPairs, x0: Array, normal
     a, b, c, d = x0[:, pairs.nodes[:, met:]].swapaxes(0, 1)
     s, t, across, sine = _common_perpendicular(a, b, c, d)
     left_1, right_1, left_2, right_2 = (normals[:, surface.edge_faces[k, e]] for e in (one, two) for k in (0, 1))
-    side = jnp.where(jnp.sum(across * (left_2 + right_2), axis=0) < 0.0, -1.0, 1.0).astype(x0.dtype)
+    side = jnp.where(dot(across, left_2 + right_2) < 0.0, -1.0, 1.0).astype(x0.dtype)
     normal = side * across
-    gap = jnp.sum(normal * (a + s * (b - a) - c - t * (d - c)), axis=0)
+    gap = dot(normal, a - c)
     within = (s >= 0.0) & (s < 1.0) & (t >= 0.0) & (t < 1.0)
     wedge = _within_wedge(-normal, left_1, right_1, b - a) * _within_wedge(normal, left_2, right_2, d - c)
     share = wedge * jnp.clip((sine - PARALLEL) / (CROSSED - PARALLEL), 0.0, 1.0)
@@ -429,10 +455,10 @@ def _edge_shares(surface: ContactSurface, pairs: ContactPairs, x0: Array, normal
 
 def _within_wedge(normal: Array, left: Array, right: Array, along: Array) -> Array:
     """0 at the sides of the wedge between the normals of an edge's faces and beyond, 1 well within it."""
-    axis = along / jnp.sqrt(jnp.sum(along**2, axis=0) + TINY)
-    sines = [jnp.sum(jnp.cross(u, v, axis=0) * axis, axis=0) for u, v in ((left, normal), (normal, right))]
-    half = 0.5 * jnp.sqrt(jnp.sum((left - right) ** 2, axis=0) + TINY)
-    ahead = jnp.sum(normal * (left + right), axis=0) > 0.0
+    axis = along / jnp.sqrt(dot(along, along) + TINY)
+    sines = [dot(_cross(u, v), axis) for u, v in ((left, normal), (normal, right))]
+    half = 0.5 * jnp.sqrt(_squares(left, right) + TINY)
+    ahead = dot(normal, left + right) > 0.0
     return jnp.where(ahead, jnp.clip(4.0 * jnp.minimum(*sines) / half, 0.0, 1.0), 0.0)
 
 
@@ -444,4 +470,115 @@ def pair_gaps(pairs: ContactPairs, x: Array) -> PairGaps:
     """
     if x.ndim == 3:
         return jax.vmap(pair_gaps, in_axes=-1, out_axes=-1)(pairs, x)
-    raise NotImplementedError
+    corners = x[:, pairs.nodes].swapaxes(0, 1)  # (4, 3, c)
+    met = pairs.over.shape[0]
+    faces = _node_face_gaps(corners[..., :met], pairs.side[:met], pairs.over[:met])
+    edges = _edge_edge_gaps(corners[..., met:], pairs.side[met:])
+    gap, weights, normal = (jnp.concatenate(both, axis=-1) for both in zip(faces, edges, strict=True))
+    touching = pairs.valid & (pairs.share > 0.0) & (gap > -pairs.depth)
+    return PairGaps(jnp.where(touching, gap, FAR), jnp.where(touching, weights, 0.0), normal)
+
+
+def _node_face_gaps(corners: Array, side: Array, over: Array) -> PairGaps:
+    p, a, b, c = corners
+    distance, height, weights, over_now, _ = _node_on_face(p, a, b, c)
+    flat, normal = _plane_coordinates(p, a, b, c)
+    away = p - jnp.sum(weights[:, None] * corners[1:], axis=0)
+    apart = distance > 0.0
+    radial = jnp.where(apart, side * away / jnp.where(apart, distance, 1.0), normal)
+    above = over | over_now
+    shares = jnp.where(above, flat, weights)
+    return PairGaps(
+        gap=jnp.where(above, height, side * distance),
+        weights=jnp.concatenate([jnp.ones_like(shares[:1]), -shares]),
+        normal=jnp.where(above, normal, radial),
+    )
+
+
+def _edge_edge_gaps(corners: Array, side: Array) -> PairGaps:
+    a, b, c, d = corners
+    s, t, across, _ = _common_perpendicular(a, b, c, d)
+    normal = side * across
+    weights = jnp.stack([1.0 - s, s, t - 1.0, -t])
+    return PairGaps(dot(normal, a - c), weights, normal)
+
+
+def _plane_coordinates(p: Array, a: Array, b: Array, c: Array) -> tuple[Array, Array]:
+    """Barycentric coordinates (3, ...) of the foot of `p` in the plane of a triangle, and the plane's unit normal."""
+    ab, ac, ap = b - a, c - a, p - a
+    across = _cross(ab, ac)
+    square = jnp.maximum(dot(across, across), TINY)
+    at_b, at_c = dot(_cross(ap, ac), across) / square, dot(_cross(ab, ap), across) / square
+    return jnp.stack([1.0 - at_b - at_c, at_b, at_c]), across / jnp.sqrt(square)
+
+
+def _node_on_face(p: Array, a: Array, b: Array, c: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """The point of a triangle that is closest to `p`; all points (3, ...).
+
+    Distance and height over the plane [m], the closest point's weights (3, ...), whether it lies in the face, and on
+    which part: 0 the face, 1 - 3 the edges ab, bc, ca, 4 - 6 the corners.
+    """
+    flat, normal = _plane_coordinates(p, a, b, c)
+    height = dot(normal, p - a)
+    over = jnp.all(flat >= 0.0, axis=0)
+    best = jnp.full(height.shape, jnp.inf, p.dtype)
+    weights, part = jnp.zeros_like(flat), jnp.zeros(height.shape, jnp.int32)
+    corners = (a, b, c)
+    for k in range(3):
+        tail, along = corners[k], corners[(k + 1) % 3] - corners[k]
+        t = jnp.clip(dot(p - tail, along) / jnp.maximum(dot(along, along), TINY), 0.0, 1.0)
+        rest = p - tail - t * along
+        square = dot(rest, rest)
+        closer = square < best
+        on = [jnp.zeros_like(t)] * 3
+        on[k], on[(k + 1) % 3] = 1.0 - t, t
+        where = jnp.where(t <= 0.0, 4 + k, jnp.where(t >= 1.0, 4 + (k + 1) % 3, 1 + k))
+        best, weights = jnp.where(closer, square, best), jnp.where(closer, jnp.stack(on), weights)
+        part = jnp.where(closer, where, part)
+    distance = jnp.where(over, jnp.abs(height), _length(best))
+    return distance, height, jnp.where(over, flat, weights), over, jnp.where(over, 0, part)
+
+
+def _common_perpendicular(a: Array, b: Array, c: Array, d: Array) -> tuple[Array, Array, Array, Array]:
+    """Where the lines ab and cd are closest, as shares of their lengths; unit cross product; sine of their angle."""
+    u, v, w = b - a, d - c, a - c
+    uu, uv, vv, uw, vw = dot(u, u), dot(u, v), dot(v, v), dot(u, w), dot(v, w)
+    both = uu * vv + TINY
+    across = _cross(u, v)
+    area = _length(dot(across, across))
+    square = jnp.maximum(uu * vv - uv**2, 1e-4 * both)
+    unit = across / jnp.where(area > 0.0, area, 1.0)
+    return (uv * vw - vv * uw) / square, (uu * vw - uv * uw) / square, unit, area / jnp.sqrt(both)
+
+
+def _edge_distance(a: Array, b: Array, c: Array, d: Array) -> Array:
+    """Distance [m] of the segments ab and cd (Ericson, Real-Time Collision Detection, 5.1.9)."""
+    u, v, w = b - a, d - c, a - c
+    s = jnp.clip(_common_perpendicular(a, b, c, d)[0], 0.0, 1.0)
+    t = jnp.clip((dot(u, v) * s + dot(v, w)) / jnp.maximum(dot(v, v), TINY), 0.0, 1.0)
+    s = jnp.clip((dot(u, v) * t - dot(u, w)) / jnp.maximum(dot(u, u), TINY), 0.0, 1.0)
+    rest = w + s * u - t * v
+    return _length(dot(rest, rest))
+
+
+def _face_and_node_normals(surface: ContactSurface, x: Array) -> tuple[Array, Array]:
+    """Unit normals of the faces (3, f), and of the nodes (3, n): means weighted with the angles of the faces there."""
+    corners = x[:, surface.faces]
+    towards, back = jnp.roll(corners, -1, axis=1) - corners, jnp.roll(corners, 1, axis=1) - corners
+    across = _cross(towards, back)  # (3, 3, f): [component, corner, face]
+    size = _length(dot(across, across))
+    normals = across[:, 0] / jnp.where(size[0] > 0.0, size[0], 1.0)
+    angle = jnp.arctan2(size, dot(towards, back))
+    shares = jnp.concatenate([(normals[:, None] * angle).reshape(3, -1), jnp.zeros((3, 1), x.dtype)], axis=1)
+    around = jnp.sum(shares[:, surface.node_corners], axis=1)
+    size = _length(dot(around, around))
+    return normals, around / jnp.where(size > 0.0, size, 1.0)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def _length(square: Array) -> Array:
+    """Square root with a slope of zero at zero."""
+    return jnp.where(square > 0.0, jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), 0.0)

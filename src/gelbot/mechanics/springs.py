@@ -7,10 +7,10 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.experimental.layout import Layout, with_layout_constraint
 from numpy.typing import NDArray
 
-from gelbot.mechanics.batch import dot, wide
+from gelbot.body.lattice import Body
+from gelbot.mechanics.batch import dot, settled, wide
 
 
 class Lattice(NamedTuple):
@@ -26,6 +26,19 @@ class Lattice(NamedTuple):
     length: Array
     spring_faces: Array
     face_weights: Array
+
+
+def build_lattice(body: Body, young_modulus: float) -> Lattice:
+    """The lattice of `body`, which bends like a sheet of `young_modulus` [Pa]."""
+    stiffness = spring_stiffness(young_modulus, body.spring_volume, body.spring_length, body.layer_count)
+    return Lattice(
+        springs=jnp.asarray(body.springs, jnp.int32),
+        incidence=jnp.asarray(node_springs(body.springs, body.nodes.shape[1]), jnp.int32),
+        stiffness=jnp.asarray(stiffness),
+        length=jnp.asarray(body.spring_length),
+        spring_faces=jnp.asarray(body.spring_faces, jnp.int32),
+        face_weights=jnp.asarray(body.spring_face_weights),
+    )
 
 
 class Springs(NamedTuple):
@@ -80,7 +93,7 @@ def spring_balance(lattice: Lattice, before: Springs, displacement: Array) -> tu
     only: a spring would feel that as a tenth of a node's weight.
     """
     k = wide(lattice.stiffness, before.length, 1)
-    first, second = _settled(displacement[:, lattice.springs[0]]), _settled(displacement[:, lattice.springs[1]])
+    first, second = settled(displacement[:, lattice.springs[0]]), settled(displacement[:, lattice.springs[1]])
     change = second - first
     along = before.along + change
     squared = dot(along, along)
@@ -88,10 +101,10 @@ def spring_balance(lattice: Lattice, before: Springs, displacement: Array) -> tu
     length = squared * inverse
     growth = dot(change, before.along + along) / (before.length + length)  # length - before.length
     stretch = before.stretch + growth
-    tension = _settled((k * stretch * inverse) * along)
+    tension = settled((k * stretch * inverse) * along)
     # A node sums the springs that end at it: a gather, which is far cheaper than a scatter.
-    both_ends = _settled(jnp.concatenate([tension, -tension, jnp.zeros_like(tension[:, :1])], axis=1))
-    return 0.5 * jnp.sum(k * stretch**2, axis=0), jnp.sum(_settled(both_ends[:, lattice.incidence]), axis=1)
+    both_ends = settled(jnp.concatenate([tension, -tension, jnp.zeros_like(tension[:, :1])], axis=1))
+    return 0.5 * jnp.sum(k * stretch**2, axis=0), jnp.sum(settled(both_ends[:, lattice.incidence]), axis=1)
 
 
 def spring_blocks(lattice: Lattice, x: Array, rest: Array) -> tuple[Array, Array]:
@@ -125,7 +138,3 @@ def node_springs(springs: NDArray[np.int64], node_count: int) -> NDArray[np.int6
     table[place, ends[order]] = order
     return table
 
-
-def _settled(a: Array) -> Array:
-    """`a`, computed once and laid out in the order of its axes: fused with what follows, nothing would be vectorised."""
-    return with_layout_constraint(a, Layout(tuple(range(a.ndim))))

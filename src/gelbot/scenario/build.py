@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelbot.body.lattice import Body, build_body
+from gelbot.body.quadratic import with_midpoints
 from gelbot.body.symmetry import rotation
 from gelbot.control.programme import Phases, Programme
 from gelbot.field.charge import FieldSolution, build_problem, solve
@@ -19,15 +20,18 @@ from gelbot.field.gel import disturbance, gel_panels
 from gelbot.field.images import Tank
 from gelbot.field.lead_field import build_lead_field, table_error
 from gelbot.mechanics.dissection import dissect
+from gelbot.mechanics.elastic import Elastic, node_pairs
 from gelbot.mechanics.implicit import Mechanics
 from gelbot.mechanics.medium import net_weight
-from gelbot.mechanics.obstacles import Obstacles, floor_only
-from gelbot.mechanics.springs import Lattice, node_springs, spring_stiffness
+from gelbot.mechanics.self_contact import ContactSurface, contact_surface
+from gelbot.mechanics.solid import build_solid
+from gelbot.mechanics.springs import build_lattice
 from gelbot.plan.templates import template
 from gelbot.plan.trajectory import rise
 from gelbot.points import essential_points
 from gelbot.scenario.placement import mounted
 from gelbot.scenario.schema import Scenario
+from gelbot.scenario.surroundings import check_free, obstacles
 from gelbot.simulate import Gel, Model, State, face_geometry, start
 
 WORKING_REACH = 2.2
@@ -35,7 +39,12 @@ WORKING_REACH = 2.2
 HEADROOM = 3e-3
 """The table ends this far [m] below the plates, where there is room: nearer, their edges would need a finer grid."""
 CONTACT_LAYER = 0.01
-"""Share of the thickness within which the floor's force builds up, and by which the whole weight on a node sinks in."""
+"""Share of the thickness within which the force of a surface builds up."""
+FIRM_WEIGHTS, FIRM_STRESS = 10.0, 0.01
+"""A node pressed with this many weights of the body plus this share of E h^2 comes to the surface itself (gap 0), one
+pressed with three times as much sinks in by a `CONTACT_LAYER`."""
+LOOK_AHEAD = 0.2
+"""Parts of the body nearer than this share of the thickness are watched: they may meet."""
 STICK_SPEED = 2e-6
 """Creep [m/s] below which friction sticks: 0.1 mm in a minute under a load just short of slipping."""
 LIGHTEST = 0.02
@@ -64,6 +73,8 @@ class Experiment:
 def build(scenario: Scenario) -> Experiment:
     """Make everything that `scenario` describes; arrays in its precision. Raises `BadInput` for a mesh too coarse."""
     body = build_body(scenario.body.outline(), scenario.body.thickness, scenario.body.mesh_size, scenario.body.layers)
+    if scenario.material.model == "solid":
+        body = with_midpoints(body)
     array, panels = electrode_array(scenario), scenario.electrodes.panels_used
     field = solve(build_problem(array, field_tank(scenario), scenario.solution.conductivity, panels))
     connected = connection(field.conductance, scenario.electrodes.states)
@@ -77,6 +88,7 @@ def build(scenario: Scenario) -> Experiment:
     model = build_model(scenario, body, field, connected)
     positions = posed(scenario, body)
     error = table_error(model.lead, field, face_geometry(jnp.asarray(positions), model.gel.faces)[0], connected)
+    check_free(model.mechanics.obstacles, positions)
     model, positions = cast(model), cast(positions)
     state = start(model, positions)
     programme = cast(build_programme(scenario, array))
@@ -158,21 +170,18 @@ def build_mechanics(scenario: Scenario, body: Body) -> Mechanics:
     weight = net_weight(body.node_volume, material.density, solution.density)
     heaviest = np.maximum(np.abs(weight), LIGHTEST * net_weight(body.node_volume, material.density, 0.0))
     layer = CONTACT_LAYER * body.thickness
-    stiffness = spring_stiffness(material.young_modulus, body.spring_volume, body.spring_length, body.layer_count)
+    firm = FIRM_WEIGHTS * heaviest.sum() + FIRM_STRESS * material.young_modulus * body.thickness**2
+    elastic = build_elastic(scenario, body)
+    own_friction = scenario.tank.friction if material.self_friction is None else material.self_friction
     return Mechanics(
-        elastic=Lattice(
-            springs=jnp.asarray(body.springs, jnp.int32),
-            incidence=jnp.asarray(node_springs(body.springs, body.nodes.shape[1]), jnp.int32),
-            stiffness=jnp.asarray(stiffness),
-            length=jnp.asarray(body.spring_length),
-            spring_faces=jnp.asarray(body.spring_faces, jnp.int32),
-            face_weights=jnp.asarray(body.spring_face_weights),
-        ),
-        dissection=dissect(body.nodes, body.springs),
-        obstacles=obstacles(scenario),
+        elastic=elastic,
+        dissection=dissect(body.nodes, np.asarray(node_pairs(elastic))),
         node_mass=jnp.asarray(material.density * body.node_volume),
         weight=jnp.asarray(weight),
-        contact_stiffness=jnp.asarray(2.0 * heaviest.sum() / layer),
+        obstacles=obstacles(scenario),
+        surface=build_surface(scenario, body) if material.self_contact else None,
+        self_friction=jnp.asarray(own_friction),
+        contact_stiffness=jnp.asarray(2.0 * firm / layer),
         contact_layer=jnp.asarray(layer),
         stick_speed=jnp.asarray(STICK_SPEED),
         drag=jnp.asarray(solution.drag),
@@ -182,9 +191,21 @@ def build_mechanics(scenario: Scenario, body: Body) -> Mechanics:
     )
 
 
-def obstacles(scenario: Scenario) -> Obstacles:
-    """The floor."""
-    return floor_only(scenario.tank.friction)
+def build_elastic(scenario: Scenario, body: Body) -> Elastic:
+    """The lattice or the solid that `material.model` names."""
+    material = scenario.material
+    if material.model == "solid":
+        return build_solid(body, material.young_modulus, material.poisson_ratio)
+    return build_lattice(body, material.young_modulus)
+
+
+def build_surface(scenario: Scenario, body: Body) -> ContactSurface:
+    """The surface by which the body meets itself."""
+    layer = CONTACT_LAYER * body.thickness
+    corners = int(body.faces.max()) + 1
+    return contact_surface(
+        body.faces, body.nodes[:, :corners], body.thickness, scenario.body.mesh_size, layer, LOOK_AHEAD * body.thickness
+    )
 
 
 def build_programme(scenario: Scenario, array: ElectrodeArray) -> Programme:

@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 from gelbot.scenario.bodies import Body
 from gelbot.scenario.electrodes import Electrodes
 from gelbot.scenario.fields import Table, check_multiple
+from gelbot.scenario.obstacle_shapes import AnyObstacle
 from gelbot.scenario.placement import check_gel_is_clear, check_reach, check_tank, check_voltages
 from gelbot.scenario.tables import Material, Programme, Recording, Simulation, Solution, Supply, Tank
 
@@ -27,6 +28,7 @@ class Scenario(Table):
     solution: Solution
     electrodes: Electrodes
     tank: Tank
+    obstacles: tuple[AnyObstacle, ...] = ()
     supply: Supply
     programme: Programme
     simulation: Simulation

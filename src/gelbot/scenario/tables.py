@@ -33,9 +33,15 @@ SHARE = Number(ge=-1, le=1)
 class Material(Table):
     """The gel: `young_modulus` [Pa], `density` [kg/m^3], and the constants of Eqs. (2), (3) and (6).
 
-    `p_ele` [m^2/A] and `p_ads` per `adsorption_step` [s]. `conductivity` [S/m]; None: it does not disturb the field.
+    `model`: the paper's spring "lattice", or a "solid" of finite elements with its `poisson_ratio`. `p_ele` [m^2/A] and
+    `p_ads` per `adsorption_step` [s]. `conductivity` [S/m]; None: it does not disturb the field. `self_contact`: whether
+    the body is kept from passing through itself; `self_friction`: gel on gel, None: as the tank's.
     """
 
+    model: Literal["lattice", "solid"] = "lattice"
+    poisson_ratio: Annotated[float, Number(ge=0, le=0.48)] = 0.3
+    self_contact: bool = True
+    self_friction: Annotated[float, Number(ge=0)] | None = None
     young_modulus: Annotated[float, Dimension("Pa", gt=0)]
     density: Density
     p_ele: Annotated[float, Dimension("m^2/A", ge=0)]
@@ -196,6 +202,7 @@ class Programme(Table):
 class Simulation(Table):
     """How it is computed: `duration` and `time_step` [s]; residual `tolerance` of the implicit step.
 
+    With a `step_error` [m] the time step adapts: it is the longest, halved where a step would be off by more than that.
     `field_spacing` [m]: cells of the table from which the body reads the field.
     """
 
@@ -204,6 +211,7 @@ class Simulation(Table):
     tolerance: Annotated[float, Number(gt=0, lt=1)]
     max_iterations: Annotated[int, Count(ge=1)]
     precision: Literal["float64", "float32"]
+    step_error: Length | None = None
     field_spacing: Annotated[float, Dimension("m", ge=1e-4, le=5e-3)] = 1e-3
 
 
