@@ -176,10 +176,12 @@ def curvature(case: Case, x: np.ndarray) -> float:
     rest = case.body.nodes[:, :per_layer]
     axis = (np.abs(rest[1]) < 1e-9) & (np.abs(rest[0]) < 0.26 * np.ptp(rest[0]))
     middle = 0.5 * (x[:, :per_layer] + x[:, count - per_layer : count])[:, axis]
-    a = np.column_stack([2.0 * middle[0], 2.0 * middle[2], np.ones(axis.sum())])
-    centre_x, centre_z, offset = np.linalg.lstsq(a, middle[0] ** 2 + middle[2] ** 2, rcond=None)[0]
+    # A free body may have turned: in the plane in which the points lie.
+    centred = middle - middle.mean(axis=1, keepdims=True)
+    p, q = (np.linalg.svd(centred)[0].T @ centred)[:2]
+    centre_p, centre_q, offset = np.linalg.lstsq(np.column_stack([2.0 * p, 2.0 * q, np.ones_like(p)]), p**2 + q**2)[0]
     assert axis.sum() >= 5
-    return float(1.0 / np.sqrt(offset + centre_x**2 + centre_z**2))
+    return float(1.0 / np.sqrt(offset + centre_p**2 + centre_q**2))
 
 
 def sag(case: Case) -> float:
@@ -394,7 +396,7 @@ def test_batch_is_one_by_one(tiny, rng):
 
 
 class TestContractionBends:
-    @pytest.mark.parametrize(("eps", "allowed"), [(0.01, 0.003), (0.1, 0.005)])
+    @pytest.mark.parametrize(("eps", "allowed"), [(0.01, 0.003), (0.1, 0.005), (0.4, 0.03)])
     def test_linear_through_the_thickness(self, eps, allowed):
         """Without stress: lengths 1 - eps below, 1 above, h apart; one layer of elements."""
         h = 1 * MM

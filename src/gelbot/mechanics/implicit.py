@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from gelbot.mechanics.batch import dot, wide
+from gelbot.mechanics.block_inverse import block_inverse
 from gelbot.mechanics.contact import (
     along_surface,
     friction_energy,
@@ -32,11 +33,12 @@ from gelbot.mechanics.elastic import Elastic, Strained, elastic_at, elastic_bala
 from gelbot.mechanics.medium import drag_forces, gravity_forces
 from gelbot.mechanics.multifrontal import Factor, factorise, solve
 from gelbot.mechanics.obstacles import Obstacles, gaps
-from gelbot.mechanics.pair_contact import PairLaw, Touching, pair_balance, pair_blocks, touch
+from gelbot.mechanics.pair_contact import contact_room, PairLaw, Touching, contact_forces, pair_balance, pair_stiffness, touch
+
 from gelbot.mechanics.quasi_newton import Solution, minimise
 from gelbot.mechanics.self_contact import ContactPairs, ContactSurface
 
-PATIENCE = 40
+PATIENCE = 20
 """Iterations after which a step asks for a new preconditioner."""
 
 
@@ -65,11 +67,28 @@ class Mechanics(NamedTuple):
     force_scale: Array
 
 
+class Correction(NamedTuple):
+    """What the body's contacts with itself change in the inverse A^-1 of its stiffness (Woodbury's formula),
+
+        (A + N D N^T)^-1 = A^-1 - Z K Z^T,    Z = A^-1 N,    K = D^1/2 (1 + D^1/2 N^T Z D^1/2)^-1 D^1/2.
+
+    `responses` Z (m, n, 3), `kernel` K (m, m); `present`: whether there are any.
+    """
+
+    responses: Array
+    kernel: Array
+    present: Array
+
+
 class Preconditioner(NamedTuple):
-    """Inverse of the stiffness, front by front, in single precision, and the frame (3, 3) it was made in."""
+    """Inverse of the stiffness, front by front, in single precision, and the frame (3, 3) it was made in.
+
+    `correction` for a body that can meet itself, else None.
+    """
 
     factor: Factor
     frame: Array
+    correction: Correction | None
 
 
 class Beginning(NamedTuple):
@@ -189,9 +208,25 @@ def apply_inverse(mech: Mechanics, near: Preconditioner, frame: Array, g: Array)
     turn = jnp.einsum("ij...,kj...->ik...", frame.astype(single), near.frame)
     # Scaled to order one: single precision has no room for forces of 1e-9 N times compliances of 1e3 m/N.
     local = jnp.einsum("ji...,jn...->ni...", turn, (g / mech.force_scale).astype(single))
-    one = lambda factor, forces: solve(mech.dissection, factor, forces)  # noqa: E731 - named for what vmap maps
-    found = one(near.factor, local) if g.ndim == 2 else jax.vmap(one, (0, -1), -1)(near.factor, local)
+    found = _inverse_times(mech.dissection, near, local)
     return jnp.einsum("ij...,nj...->in...", turn, found).astype(g.dtype) * mech.force_scale
+
+
+def _inverse_times(dissection: Dissection, near: Preconditioner, local: Array) -> Array:
+    """Displacements (n, 3) for forces `local` (n, 3), both in the frame of the preconditioner."""
+    if local.ndim == 3:
+        axes = Preconditioner(0, -1, None if near.correction is None else Correction(0, 0, 0))
+        return jax.vmap(_inverse_times, (None, axes, -1), -1)(dissection, near, local)
+    found = solve(dissection, near.factor, local)
+    if near.correction is None:
+        return found
+    responses, kernel, present = near.correction
+
+    def corrected() -> Array:
+        flat = responses.reshape(responses.shape[0], -1)
+        return found - ((kernel @ (flat @ local.ravel())) @ flat).reshape(found.shape)
+
+    return jax.lax.cond(present, corrected, lambda: found)
 
 
 def build_preconditioner(
@@ -218,12 +253,43 @@ def build_preconditioner(
         own = own + (stiff - grip) * normal[k][:, None] * normal[k][None]
         for axis in range(3):
             own = own.at[axis, axis].add(grip)
-    if begin.touching is not None:
-        own = own + pair_blocks(begin.touching, _pair_law(mech), dt, x, v)
     one = lambda own, between: factorise(mech.dissection, own, between, jnp.float32)  # noqa: E731
     own, between = jnp.moveaxis(own, 2, 0), jnp.moveaxis(between, 2, 0)
     factor = one(own, between) if x.ndim == 2 else jax.vmap(one, -1)(own, between)
-    return Preconditioner(factor, frame.astype(jnp.float32))
+    correction = None if begin.touching is None else _correction(mech, factor, begin, x, v)
+    return Preconditioner(factor, frame.astype(jnp.float32), correction)
+
+
+def _correction(mech: Mechanics, factor: Factor, begin: Beginning, x: Array, v: Array) -> Correction:
+    touching, law = begin.touching, _pair_law(mech)
+    assert touching is not None
+    present = jnp.any(touching.pressed > 0.0)
+
+    def one(factor: Factor, touching: Touching, x: Array, v: Array) -> Correction:
+        contacts = pair_stiffness(touching, law, begin.dt, x, v)
+        forces = contact_forces(contacts, x.shape[1])
+        responses = jax.vmap(lambda f: solve(mech.dissection, factor, f))(forces.astype(jnp.float32))
+        flat = responses.reshape(responses.shape[0], -1)
+        root = jnp.sqrt(contacts.size.ravel())
+        compliance = (flat @ forces.reshape(flat.shape).astype(jnp.float32).T).astype(jnp.float64)
+        compliance = 0.5 * (compliance + compliance.T)
+        inner = jnp.eye(len(root)) + root[:, None] * compliance * root
+        kernel = root[:, None] * block_inverse(inner) * root
+        return Correction(responses, kernel.astype(jnp.float32), jnp.any(contacts.size > 0.0))
+
+    def found() -> Correction:
+        if x.ndim == 2:
+            return one(factor, touching, x, v)
+        return jax.vmap(one, (0, -1, -1, -1))(factor, touching, x, v)
+
+    return jax.lax.cond(present, found, lambda: _no_correction(mech, x.shape[1], x.shape[2:]))
+
+
+def _no_correction(mech: Mechanics, count: int, batch: tuple[int, ...]) -> Correction:
+    m = 3 * contact_room(mech.surface)
+    return Correction(
+        jnp.zeros((*batch, m, count, 3), jnp.float32), jnp.zeros((*batch, m, m), jnp.float32), jnp.zeros(batch, bool)
+    )
 
 
 def no_preconditioner(mech: Mechanics, batch: tuple[int, ...]) -> Preconditioner:
@@ -235,4 +301,5 @@ def no_preconditioner(mech: Mechanics, batch: tuple[int, ...]) -> Preconditioner
         inverses.append(jnp.zeros((*batch, fronts, 3 * s, 3 * s), jnp.float32))
         transfers.append(jnp.zeros((*batch, fronts, 3 * t, 3 * s), jnp.float32))
     frame = jnp.eye(3, dtype=jnp.float32).reshape(3, 3, *(1 for _ in batch))
-    return Preconditioner(Factor(tuple(inverses), tuple(transfers)), jnp.broadcast_to(frame, (3, 3, *batch)))
+    none = None if mech.surface is None else _no_correction(mech, mech.node_mass.shape[0], batch)
+    return Preconditioner(Factor(tuple(inverses), tuple(transfers)), jnp.broadcast_to(frame, (3, 3, *batch)), none)

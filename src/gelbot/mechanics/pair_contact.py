@@ -24,6 +24,10 @@ from gelbot.mechanics.contact import (
 from gelbot.mechanics.self_contact import ContactPairs, ContactSurface, pair_gaps, settle
 
 
+FIRMEST = 48
+"""Contacts, at most, that the preconditioner knows of."""
+
+
 class Touching(NamedTuple):
     """Pairs at a step's beginning: `pairs` settled there, `weights` (4, c), `normal` (3, c), force `pressed` [N] (c,)."""
 
@@ -79,26 +83,57 @@ def pair_balance(touching: Touching, law: PairLaw, dt: Array, x: Array, u: Array
     return jax.lax.cond(jnp.any(pairs.found > 0), act, nothing)
 
 
-def pair_blocks(touching: Touching, law: PairLaw, dt: Array, x: Array, v: Array) -> Array:
-    """The nodes' own stiffness [N/m] (3, 3, n) from the body's contact with itself, at `x` [m], moving with `v` [m/s].
+def contact_room(surface: ContactSurface | None) -> int:
+    """How many contacts a `PairStiffness` of this surface holds."""
+    return 0 if surface is None else min(FIRMEST, surface.node_face_places[2].shape[0] + surface.edge_edge_places[2].shape[0])
 
-    A bound: two nodes that move against each other are held by both, and what is between them is left out.
+
+class PairStiffness(NamedTuple):
+    """The stiffness sum_m N_m d_m N_m^T of the firmest contacts, m of them times three directions.
+
+    `nodes` (4, m) and `weights` (4, m) of the contacts, `axes` (3, 3, m): normal and two along the surface, one a row;
+    `size` d [N/m] (3, m). N_m has w_k axis at node k.
     """
+
+    nodes: Array
+    weights: Array
+    axes: Array
+    size: Array
+
+
+def pair_stiffness(touching: Touching, law: PairLaw, dt: Array, x: Array, v: Array) -> PairStiffness:
+    """What the body's contact with itself adds to its stiffness at `x` [m], (3, n), moving with `v` [m/s]."""
+    if x.ndim == 3:
+        return jax.vmap(pair_stiffness, (-1, None, None, -1, -1), -1)(touching, law, dt, x, v)
     pairs = touching.pairs
+    gap, weights, normal = pair_gaps(pairs, x)
+    slip = along_surface(dt * _spread(touching.weights, v, pairs.nodes), touching.normal)
+    grip = friction_grip(slip, touching.pressed, law.friction, law.stick_speed, dt)
+    stiff = pairs.share * normal_stiffness(gap, law.stiffness, law.layer)
+    _, firmest = jax.lax.top_k(stiff + grip, min(FIRMEST, stiff.shape[0]))
+    gap, weights, normal, stiff, grip = (part[..., firmest] for part in (gap, weights, normal, stiff, grip))
+    weights = jnp.where(gap < law.layer, weights, touching.weights[:, firmest])
+    normal = jnp.where(gap < law.layer, normal, touching.normal[:, firmest])
+    across = _across(normal)
+    third = jnp.cross(normal, across, axis=0)
+    return PairStiffness(pairs.nodes[:, firmest], weights, jnp.stack([normal, across, third]), jnp.stack([stiff, grip, grip]))
 
-    def act() -> Array:
-        gap, weights, normal = pair_gaps(pairs, x)
-        slip = along_surface(dt * _spread(touching.weights, v, pairs.nodes), touching.normal)
-        grip = friction_grip(slip, touching.pressed, law.friction, law.stick_speed, dt)
-        stiff = pairs.share * normal_stiffness(gap, law.stiffness, law.layer)
-        one = jnp.eye(3, dtype=x.dtype).reshape(3, 3, *(1,) * gap.ndim)
-        block = (stiff - grip) * normal[:, None] * normal[None] + grip * one
-        # sum_k |w_k| = 2 bounds what the other nodes of the pair add.
-        scale = 2.0 * jnp.abs(weights)
-        blocks = (block[:, :, None] * scale).reshape(9, *scale.shape)
-        return _gathered(blocks, pairs.nodes, x).reshape(3, 3, *x.shape[1:])
 
-    return jax.lax.cond(jnp.any(pairs.found > 0), act, lambda: jnp.zeros((3, *x.shape), x.dtype))
+def contact_forces(stiffness: PairStiffness, count: int) -> Array:
+    """The columns N_m as forces on `count` nodes, shape (3 m, n, 3)."""
+    m = stiffness.weights.shape[-1]
+    pull = stiffness.weights[:, None, None] * stiffness.axes  # (4, axis, xyz, m)
+    pull = pull.transpose(1, 3, 0, 2).reshape(3 * m, 4, 3)
+    place = jnp.tile(stiffness.nodes.T, (3, 1))
+    return jnp.zeros((3 * m, count, 3), pull.dtype).at[jnp.arange(3 * m)[:, None], place].add(pull)
+
+
+def _across(normal: Array) -> Array:
+    """A unit vector across each unit `normal` (3, m)."""
+    x, y, z = normal
+    flat = jnp.abs(z) > 0.7
+    across = jnp.where(flat, jnp.stack([z, jnp.zeros_like(x), -x]), jnp.stack([-y, x, jnp.zeros_like(x)]))
+    return across / jnp.sqrt(jnp.maximum(jnp.sum(across**2, axis=0), 1e-30))
 
 
 def _spread(weights: Array, u: Array, nodes: Array) -> Array:
