@@ -151,6 +151,7 @@ def near_pairs(
     return jax.lax.cond(old, lambda: find_pairs(surface, positions, frame), lambda: pairs)
 
 
+@jax.jit
 def start(model: Model, positions: Array) -> State:
     """A body at rest without adsorption at `positions` [m], shape (3, n), or a batch of them, (3, n, b)."""
     batch, surface = positions.shape[2:], model.mechanics.surface

@@ -119,7 +119,10 @@ def begin_step(
 
 
 def _pair_law(mech: Mechanics) -> PairLaw:
-    return PairLaw(mech.contact_stiffness, mech.contact_layer, mech.self_friction, mech.stick_speed)
+    """The body's own law of contact: as firm as an obstacle's, in a layer of its own."""
+    assert mech.surface is not None
+    layer = mech.surface.layer
+    return PairLaw(mech.contact_stiffness * mech.contact_layer / layer, layer, mech.self_friction, mech.stick_speed)
 
 
 def balance(mech: Mechanics, begin: Beginning, u: Array) -> tuple[Array, Array]:

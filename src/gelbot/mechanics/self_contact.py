@@ -39,10 +39,10 @@ EXCLUSION = 1.5
 """Parts closer at rest than this, times thickness + mesh size, cannot meet."""
 CREASE = 3.0
 """A second face pushes too while it is less than this many layers farther away than the first."""
-ALIGNED = 0.5
-"""Least cosine between the way out through an edge or corner and its pseudonormal."""
 PARALLEL, CROSSED = 0.05, 0.10
 """Sines of the angle between two edges: not a contact, a whole one."""
+ROUNDING = 1e-6
+"""Share of an edge by which two edges may miss each other: two that follow each other leave no hole between them."""
 TINY = 1e-30
 """Keeps what is divided by a squared length [m^2] finite."""
 
@@ -114,7 +114,7 @@ def contact_surface(
     mesh_size: float,
     layer: float,
     margin: float,
-    contacts_per_node: float = 2.0,
+    contacts_per_node: float = 3.0,
 ) -> ContactSurface:
     """Prepare a closed surface of `faces` (3, f), outward by the right-hand rule, at `rest` [m] (3, n).
 
@@ -237,7 +237,7 @@ def _each_robot(one: Callable[..., Any]) -> Callable[..., Any]:
 
 @_each_robot
 def find_pairs(surface: ContactSurface, positions: Array, frame: Array) -> ContactPairs:
-    """What lies within layer + margin in front, or half the thickness + margin behind; settled at `positions`.
+    """What lies within layer + margin in front, or half the thickness + margin behind; not yet settled.
 
     `positions` [m] (3, n[, b]); `frame` (3, 3[, b]) turns with the body, its columns are the body's axes.
     """
@@ -263,7 +263,7 @@ def find_pairs(surface: ContactSurface, positions: Array, frame: Array) -> Conta
 
     valid = jnp.concatenate([met, crossed])
     unknown = jnp.zeros(valid.shape, positions.dtype)
-    pairs = ContactPairs(
+    return ContactPairs(
         nodes=jnp.concatenate([corners, ends], axis=1),
         things=jnp.concatenate([jnp.stack([node, face]), jnp.stack([one, two])], axis=1),
         valid=valid,
@@ -275,7 +275,6 @@ def find_pairs(surface: ContactSurface, positions: Array, frame: Array) -> Conta
         depth=surface.half_thickness.astype(positions.dtype),
         local=_seen_from_body(positions, frame),
     )
-    return jax.lax.cond(pairs.found > 0, lambda p: settle(surface, p, positions), lambda p: p, pairs)
 
 
 @_each_robot
@@ -361,7 +360,7 @@ def _near(
         if first is second:
             near = near & ((index // may_meet.shape[1] != index % may_meet.shape[1]) | (i[:, None] < j[None]))
         place, found, missed = _first_places(near, places[1])
-        both = [jnp.broadcast_to(k, near.shape).ravel()[place] for k in (i[:, None], j[None])]
+        both = [jnp.broadcast_to(jnp.maximum(k, 0), near.shape).ravel()[place] for k in (i[:, None], j[None])]
         return (both[0].astype(jnp.int32), both[1].astype(jnp.int32)), found, lost + missed
 
     return jax.lax.cond(jnp.any(taken), look, lambda _: ((none, none), none > 0, jnp.zeros((), jnp.int32)), None)
@@ -401,8 +400,9 @@ def settle(surface: ContactSurface, pairs: ContactPairs, x0: Array) -> ContactPa
     away = x0[:, node] - jnp.sum(weights * x0[:, corners[1:]], axis=1)
     height = dot(away, pseudonormal)
     outside = height >= 0.0
-    length = jnp.sqrt(dot(pseudonormal, pseudonormal))
-    possible = outside | ((distance < pairs.depth) & (over | (-height > ALIGNED * length * distance)))
+    # Behind an edge or a corner lies mostly the same part of the body, bent: only over a face is a node known to be in.
+    # And what came to lie deeper than two layers did not come from outside: the mesh is folded there.
+    possible = outside | (over & (distance < 2.0 * surface.layer))
     share = _node_shares(2 * node + outside, distance, over, pairs.valid[:met] & possible, surface.layer, x0.shape[1])
 
     side, crossed = _edge_shares(surface, pairs, x0, normals)
@@ -447,10 +447,10 @@ def _edge_shares(surface: ContactSurface, pairs: ContactPairs, x0: Array, normal
     side = jnp.where(dot(across, left_2 + right_2) < 0.0, -1.0, 1.0).astype(x0.dtype)
     normal = side * across
     gap = dot(normal, a - c)
-    within = (s >= 0.0) & (s < 1.0) & (t >= 0.0) & (t < 1.0)
+    within = (s >= -ROUNDING) & (s <= 1.0 + ROUNDING) & (t >= -ROUNDING) & (t <= 1.0 + ROUNDING)
     wedge = _within_wedge(-normal, left_1, right_1, b - a) * _within_wedge(normal, left_2, right_2, d - c)
     share = wedge * jnp.clip((sine - PARALLEL) / (CROSSED - PARALLEL), 0.0, 1.0)
-    return side, jnp.where(pairs.valid[met:] & within & (gap > -pairs.depth), share, 0.0)
+    return side, jnp.where(pairs.valid[met:] & within & (gap > -2.0 * surface.layer), share, 0.0)
 
 
 def _within_wedge(normal: Array, left: Array, right: Array, along: Array) -> Array:

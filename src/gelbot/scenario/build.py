@@ -40,6 +40,8 @@ HEADROOM = 3e-3
 """The table ends this far [m] below the plates, where there is room: nearer, their edges would need a finer grid."""
 CONTACT_LAYER = 0.01
 """Share of the thickness within which the force of a surface builds up."""
+OWN_LAYER = 0.05
+"""The same where the body meets itself: corners of the mesh that slide past each other need a rounder way."""
 FIRM_WEIGHTS, FIRM_STRESS = 10.0, 0.01
 """A node pressed with this many weights of the body plus this share of E h^2 comes to the surface itself (gap 0), one
 pressed with three times as much sinks in by a `CONTACT_LAYER`."""
@@ -201,7 +203,7 @@ def build_elastic(scenario: Scenario, body: Body) -> Elastic:
 
 def build_surface(scenario: Scenario, body: Body) -> ContactSurface:
     """The surface by which the body meets itself."""
-    layer = CONTACT_LAYER * body.thickness
+    layer = OWN_LAYER * body.thickness
     corners = int(body.faces.max()) + 1
     return contact_surface(
         body.faces, body.nodes[:, :corners], body.thickness, scenario.body.mesh_size, layer, LOOK_AHEAD * body.thickness

@@ -40,7 +40,7 @@ class Material(Table):
 
     model: Literal["lattice", "solid"] = "lattice"
     poisson_ratio: Annotated[float, Number(ge=0, le=0.48)] = 0.3
-    self_contact: bool = True
+    self_contact: bool = False
     self_friction: Annotated[float, Number(ge=0)] | None = None
     young_modulus: Annotated[float, Dimension("Pa", gt=0)]
     density: Density
