@@ -141,10 +141,11 @@ def starfish_plant(mesh_size: float, uniform: bool = True) -> Plant:
     """
     from gelbot.body.lattice import build_body
     from gelbot.body.outline import starfish
-    from gelbot.mechanics.springs import spring_stiffness
+    from gelbot.mechanics.springs import bending_factor, spring_stiffness
 
     body = build_body(starfish(15e-3, 6e-3, None, 0.7e-3), 1e-3, mesh_size)
-    stiffness = np.asarray(spring_stiffness(YOUNG_MODULUS, body.spring_volume, body.spring_length, body.layer_count))
+    modulus = YOUNG_MODULUS / bending_factor(body.layer_count)
+    stiffness = spring_stiffness(modulus, body.spring_volume, body.spring_length)
     return Plant(
         nodes=body.nodes,
         springs=body.springs,

@@ -22,9 +22,18 @@ from gelbot.body.outline import starfish, strip  # noqa: E402
 from gelbot.field.charge import FieldSolution, build_problem, solve  # noqa: E402
 from gelbot.field.electrodes import square_array  # noqa: E402
 from gelbot.field.images import Tank  # noqa: E402
-from gelbot.mechanics.implicit import Mechanics, Preconditioner, build_preconditioner, solve_step  # noqa: E402
+from gelbot.mechanics.dissection import dissect  # noqa: E402
+from gelbot.mechanics.elastic import Elastic, node_pairs  # noqa: E402
+from gelbot.mechanics.implicit import (  # noqa: E402
+    Mechanics,
+    Preconditioner,
+    begin_step,
+    build_preconditioner,
+    solve_step,
+)
 from gelbot.mechanics.medium import net_weight  # noqa: E402
-from gelbot.mechanics.springs import node_springs, spring_stiffness  # noqa: E402
+from gelbot.mechanics.obstacles import Obstacles, floor  # noqa: E402
+from gelbot.mechanics.springs import bending_factor, build_lattice  # noqa: E402
 
 # The machine that runs the tests may be busy: a slow example is no failure.
 settings.register_profile("gelbot", deadline=None, max_examples=40, derandomize=True)
@@ -78,23 +87,28 @@ def make_mechanics(
     drag: float = 0.0,
     tolerance: float = 1e-6,
     stick_speed: float = 2e-6,
+    obstacles: Obstacles | None = None,
+    elastic: Elastic | None = None,
 ) -> Mechanics:
-    """A body in its surroundings, from the constants of a scenario; contact layer 1 % of the thickness."""
+    """A body in its surroundings, from the constants of a scenario; contact layer 1 % of the thickness.
+
+    Around it a floor at z = 0, if no other `obstacles` are given; made of the lattice, if nothing else `elastic`.
+    """
+    if elastic is None:
+        elastic = build_lattice(body, young_modulus, bending_factor(body.layer_count))
     weight = net_weight(body.node_volume, density, solution_density)
     layer = 0.01 * body.thickness
     load = float(np.sum(weight)) or 1e-6
     return Mechanics(
-        springs=jnp.asarray(body.springs),
-        incidence=jnp.asarray(node_springs(body.springs, body.nodes.shape[1])),
-        stiffness=jnp.asarray(
-            spring_stiffness(young_modulus, body.spring_volume, body.spring_length, body.layer_count)
-        ),
-        spring_length=jnp.asarray(body.spring_length),
+        elastic=elastic,
+        dissection=dissect(body.nodes, np.asarray(node_pairs(elastic))),
         node_mass=jnp.asarray(density * body.node_volume),
         weight=jnp.asarray(weight),
+        obstacles=floor(jnp.asarray(friction)) if obstacles is None else obstacles,
+        surface=None,
+        self_friction=jnp.asarray(friction),
         contact_stiffness=jnp.asarray(2.0 * load / layer),
         contact_layer=jnp.asarray(layer),
-        friction=jnp.asarray(friction),
         stick_speed=jnp.asarray(stick_speed),
         drag=jnp.asarray(drag),
         tolerance=jnp.asarray(tolerance),
@@ -118,7 +132,7 @@ def march(
     A uniform body force m a enters an implicit step exactly as a change of its first velocity by a dt.
     """
     frame = jnp.eye(3)
-    near = build_preconditioner(mech, x, v, rest, dt, frame)
+    near = build_preconditioner(mech, begin_step(mech, x, v, rest, dt), jnp.zeros_like(x), rest, frame)
 
     def one(carry: tuple[Array, Array, Preconditioner], _: None) -> tuple[tuple[Array, Array, Preconditioner], Motion]:
         x, v, near = carry

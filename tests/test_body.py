@@ -323,10 +323,9 @@ class TestStarfish:
 
 
 def points_of(body: Body) -> EssentialPoints:
-    """The readings of a body, its columns' means over the thickness as hub."""
-    columns = body.nodes.shape[1] // body.layer_count
-    mean = np.tile(np.eye(columns), (1, body.layer_count)) / body.layer_count
-    return EssentialPoints(*map(jnp.asarray, (body.centre, body.tips, body.tip_bases, body.hub, mean)))
+    """The readings of a body, all its columns of nodes as those of the hub."""
+    columns = np.arange(body.nodes.shape[1]).reshape(body.layer_count, -1)
+    return EssentialPoints(*map(jnp.asarray, (body.centre, body.tips, body.tip_bases, body.hub, columns)))
 
 
 class TestPoints:

@@ -43,7 +43,7 @@ from gelbot.record.summary import summarise
 from gelbot.run import frames_part, run_scenario
 from gelbot.scenario import built_in_text, load
 from gelbot.scenario.build import Experiment, build
-from gelbot.simulate import Frame, face_geometry, rollout, surface_inflow
+from gelbot.simulate import Frame, apply, face_geometry, rollout, surface_inflow
 
 MM = 1e-3
 COARSE = ("body.mesh_size=1.5 mm",)
@@ -230,7 +230,7 @@ class TestSigns:
         place = experiment.scenario.body.pose.position
         above = np.argmin(np.linalg.norm(experiment.array.centres[:2].T - place, axis=1))
         assert np.asarray(convex.frames.voltages)[0, above] == -self.DRIVE
-        inflow = np.asarray(surface_inflow(model, experiment.state.positions, convex.frames.voltages[0]))
+        inflow = np.asarray(surface_inflow(model, experiment.state.positions, apply(model, convex.frames.voltages[0])))
         _, normals = face_geometry(experiment.state.positions, model.gel.faces)
         assert (inflow[np.asarray(normals)[2] < -0.9] > 0.0).all()
         assert (inflow[np.asarray(normals)[2] > 0.9] < 0.0).all()
@@ -309,7 +309,7 @@ def test_a_symmetric_field_moves_a_starfish_symmetrically():
     experiment = build(load("dome", [*ONE_LENGTH, TIGHT, *place]).scenario)
     model = experiment.model._replace(lead=uniform_vertical(experiment.model.lead))
     still = np.asarray(experiment.state.positions)
-    lower = np.asarray(surface_inflow(model, experiment.state.positions, jnp.array([1.0])))
+    lower = np.asarray(surface_inflow(model, experiment.state.positions, apply(model, jnp.array([1.0]))))
     assert lower.max() == pytest.approx(experiment.scenario.solution.conductivity)
 
     # 2 mA/cm^2 for 4 s with p_ele = 0.02 cm^2/mA per second: adsorption 0.16 on the lower side.

@@ -50,9 +50,7 @@ def trajectory(model: Model, positions: Array, voltages: Array, dt: Array, steps
 
 
 @partial(jax.jit, static_argnums=(4,))
-def _march(
-    model: Model, positions: Array, voltages: Array, dt: Array, steps_per_period: int
-) -> tuple[Array, Passed]:
+def _march(model: Model, positions: Array, voltages: Array, dt: Array, steps_per_period: int) -> tuple[Array, Passed]:
     def one(state: State, field: AppliedField) -> tuple[State, Passed]:
         after, _ = step(model, state, field, dt)
         return after, Passed(state.positions, state.velocities, after.positions - state.positions, state.ads)
@@ -98,7 +96,7 @@ class _Slopes(NamedTuple):
 def _pull_back(
     model: Model, voltages: Array, dt: Array, passed: Passed, slope: Array
 ) -> tuple[tuple[list[Array], list[Array]], Array, Array]:
-    """dL by the constants (floats of gel and mechanics), by the start, and by the voltages, for `slope` dL/dx (k, 3, n)."""
+    """dL by the constants (floats of gel and mechanics), the start and the voltages, for `slope` dL/dx (k, 3, n)."""
     gel, mech = model.gel, model.mechanics
     last = jax.tree.map(lambda a: a[-1, -1], passed)
     x, f = last.x0, last.ads
@@ -177,9 +175,7 @@ def _sum(one: Tree, other: Tree) -> Tree:
 
 def _zeros(tree: Tree) -> Tree:
     """The slopes of a function that does not depend on `tree`."""
-    return jax.tree.map(
-        lambda a: jnp.zeros_like(a) if _is_float(a) else np.zeros(jnp.shape(a), dtypes.float0), tree
-    )
+    return jax.tree.map(lambda a: jnp.zeros_like(a) if _is_float(a) else np.zeros(jnp.shape(a), dtypes.float0), tree)
 
 
 def _merge(zeros: Tree, floats: list[Array]) -> Tree:
@@ -191,5 +187,7 @@ def _merge(zeros: Tree, floats: list[Array]) -> Tree:
 def stiffened(elastic: Elastic, factor: Array) -> Elastic:
     """The same body with a Young's modulus `factor` times as large: () or (b,)."""
     if isinstance(elastic, Lattice):
-        return elastic._replace(stiffness=elastic.stiffness[..., None] * factor if jnp.ndim(factor) else elastic.stiffness * factor)
+        return elastic._replace(
+            stiffness=elastic.stiffness[..., None] * factor if jnp.ndim(factor) else elastic.stiffness * factor
+        )
     return elastic._replace(lame=elastic.lame * factor, shear=elastic.shear * factor)

@@ -67,7 +67,9 @@ def solve_adjoint(
         scaled = apply_inverse(mech, near, frame, residual)
         product = jnp.sum(residual * scaled)
         share = jnp.maximum(0.0, (product - jnp.sum(it.residual * scaled)) / it.product)
-        return _Iterate(it.x + length * it.direction, residual, scaled + share * it.direction, product, it.iterations + 1)
+        return _Iterate(
+            it.x + length * it.direction, residual, scaled + share * it.direction, product, it.iterations + 1
+        )
 
     first = apply_inverse(mech, near, frame, wanted)
     start = _Iterate(jnp.zeros_like(wanted), wanted, first, jnp.sum(wanted * first), jnp.asarray(0))

@@ -1,7 +1,7 @@
 """One robot or many with the same code: a batch of b robots has its index last, so that rows of it are contiguous.
 
-Positions are (3, n) or (3, n, b), a robot's own numbers () or (b,). Constants of the mesh have no such axis: `wide` adds
-one where the other operand has it.
+Positions are (3, n) or (3, n, b), a robot's own numbers () or (b,). Constants of the mesh have no such axis: `wide`
+adds one where the other operand has it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def dot(a: Array, b: Array) -> Array:
 
 @jax.custom_jvp
 def settled(a: Array) -> Array:
-    """`a`, computed once and laid out in the order of its axes: fused with what follows, nothing would be vectorised."""
+    """`a`, computed once and laid out in the order of its axes: fused with what follows, it would not be vectorised."""
     return with_layout_constraint(a, Layout(tuple(range(a.ndim))))
 
 

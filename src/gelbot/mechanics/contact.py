@@ -4,7 +4,7 @@ A surface pushes with a force that begins in a thin layer d above it and grows w
 
     f_n = k p^2 / (2 d)  for 0 < p < d,    f_n = k (p - d/2)  for p >= d,
 
-smooth, so that a resting sheet does not chatter. Friction opposes the displacement u along the surface during a step dt,
+smooth, so that a resting sheet does not chatter. Friction opposes the displacement u along the surface in a step dt,
 
     f_t = -mu f_n u / sqrt(|u|^2 + (v_s dt)^2),
 

@@ -12,6 +12,7 @@ b robots has (3, n, b), and their numbers (b,).
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -33,8 +34,16 @@ from gelbot.mechanics.elastic import Elastic, Strained, elastic_at, elastic_bala
 from gelbot.mechanics.medium import drag_forces, gravity_forces
 from gelbot.mechanics.multifrontal import Factor, factorise, solve
 from gelbot.mechanics.obstacles import Obstacles, gaps
-from gelbot.mechanics.pair_contact import contact_room, PairLaw, Touching, contact_forces, pair_balance, pair_stiffness, touch
-
+from gelbot.mechanics.pair_contact import (
+    PairLaw,
+    Touching,
+    contact_forces,
+    contact_room,
+    longest_way,
+    pair_balance,
+    pair_stiffness,
+    touch,
+)
 from gelbot.mechanics.quasi_newton import Solution, minimise
 from gelbot.mechanics.self_contact import ContactPairs, ContactSurface
 
@@ -45,7 +54,7 @@ PATIENCE = 20
 class Mechanics(NamedTuple):
     """Constants of the body and its surroundings, SI units; index letters n nodes, k obstacles.
 
-    `elastic`: what the body is made of; `dissection`: the order in which its stiffness is inverted. `node_mass` [kg] and
+    `elastic`: what the body is made of; `dissection`: in which order its stiffness is inverted. `node_mass` [kg] and
     `weight` less buoyancy [N] (n,); `obstacles`, the floor among them, with their friction; `surface`, None for a body
     that cannot meet itself, and its `self_friction`; `contact_stiffness` [N/m], `contact_layer` [m], `stick_speed`
     [m/s], `drag` [1/s]; `tolerance` (times `force_scale` [N]) and `max_iterations` of the step.
@@ -133,9 +142,7 @@ def balance(mech: Mechanics, begin: Beginning, u: Array) -> tuple[Array, Array]:
     dt, mass, weight = begin.dt, wide(mech.node_mass, u[0], 1), wide(mech.weight, u[0], 1)
     elastic, forces = elastic_balance(mech.elastic, begin.elastic, u)
     ahead = u / dt - begin.v
-    energy = elastic + jnp.sum(
-        0.5 * mass * (dot(ahead, ahead) + mech.drag / dt * dot(u, u)) + weight * u[2], axis=0
-    )
+    energy = elastic + jnp.sum(0.5 * mass * (dot(ahead, ahead) + mech.drag / dt * dot(u, u)) + weight * u[2], axis=0)
     forces = forces + drag_forces(u, mass, mech.drag, dt) - mass * ahead / dt + gravity_forces(weight)
     touching = gaps(mech.obstacles, begin.x + u)
     for k, friction in enumerate(mech.obstacles.friction):
@@ -149,7 +156,7 @@ def balance(mech: Mechanics, begin: Beginning, u: Array) -> tuple[Array, Array]:
         push = normal_forces(gap, mech.contact_stiffness, mech.contact_layer)
         forces = forces + push * normal - friction_grip(slip, pressed, friction, mech.stick_speed, dt) * slip
     if begin.touching is not None:
-        own = pair_balance(begin.touching, _pair_law(mech), dt, begin.x + u, u)
+        own = pair_balance(begin.touching, _pair_law(mech), dt, u)
         energy, forces = energy + own[0], forces + own[1]
     return energy, forces
 
@@ -196,11 +203,15 @@ def solve_step(
             x=before.x,
             tolerance=allowed,
             max_iterations=jnp.minimum(PATIENCE, mech.max_iterations),
+            longest=longest,
         )
         return found._replace(iterations=found.iterations + before.iterations), near, jnp.asarray(True)
 
-    batch = x0.shape[2:]
-    guess = Solution(dt * v0, jnp.full(batch, jnp.inf, x0.dtype), jnp.zeros(batch, int))
+    batch, ahead = x0.shape[2:], dt * v0
+    longest = None if begin.touching is None else partial(longest_way, begin.touching)
+    if longest is not None:  # what moves on must not pass through itself either
+        ahead = longest(jnp.zeros_like(ahead), ahead) * ahead
+    guess = Solution(ahead, jnp.full(batch, jnp.inf, x0.dtype), jnp.zeros(batch, int))
     found, near, _ = jax.lax.while_loop(unfinished, attempt, (guess, near, jnp.asarray(is_old)))
     return Solution(x0 + found.x, found.residual / mech.force_scale, found.iterations), near
 
@@ -232,9 +243,7 @@ def _inverse_times(dissection: Dissection, near: Preconditioner, local: Array) -
     return jax.lax.cond(present, corrected, lambda: found)
 
 
-def build_preconditioner(
-    mech: Mechanics, begin: Beginning, u: Array, rest: Array, frame: Array
-) -> Preconditioner:
+def build_preconditioner(mech: Mechanics, begin: Beginning, u: Array, rest: Array, frame: Array) -> Preconditioner:
     """Invert the stiffness of a step that began at `begin`, after a displacement `u` [m], (3, n), without what would
     make it indefinite.
 
@@ -259,18 +268,18 @@ def build_preconditioner(
     one = lambda own, between: factorise(mech.dissection, own, between, jnp.float32)  # noqa: E731
     own, between = jnp.moveaxis(own, 2, 0), jnp.moveaxis(between, 2, 0)
     factor = one(own, between) if x.ndim == 2 else jax.vmap(one, -1)(own, between)
-    correction = None if begin.touching is None else _correction(mech, factor, begin, x, v)
+    correction = None if begin.touching is None else _correction(mech, factor, begin, u)
     return Preconditioner(factor, frame.astype(jnp.float32), correction)
 
 
-def _correction(mech: Mechanics, factor: Factor, begin: Beginning, x: Array, v: Array) -> Correction:
+def _correction(mech: Mechanics, factor: Factor, begin: Beginning, u: Array) -> Correction:
     touching, law = begin.touching, _pair_law(mech)
     assert touching is not None
-    present = jnp.any(touching.pressed > 0.0)
+    present = jnp.any(touching.pairs.found > 0)
 
-    def one(factor: Factor, touching: Touching, x: Array, v: Array) -> Correction:
-        contacts = pair_stiffness(touching, law, begin.dt, x, v)
-        forces = contact_forces(contacts, x.shape[1])
+    def one(factor: Factor, touching: Touching, u: Array) -> Correction:
+        contacts = pair_stiffness(touching, law, begin.dt, u)
+        forces = contact_forces(contacts, u.shape[1])
         responses = jax.vmap(lambda f: solve(mech.dissection, factor, f))(forces.astype(jnp.float32))
         flat = responses.reshape(responses.shape[0], -1)
         root = jnp.sqrt(contacts.size.ravel())
@@ -281,11 +290,11 @@ def _correction(mech: Mechanics, factor: Factor, begin: Beginning, x: Array, v: 
         return Correction(responses, kernel.astype(jnp.float32), jnp.any(contacts.size > 0.0))
 
     def found() -> Correction:
-        if x.ndim == 2:
-            return one(factor, touching, x, v)
-        return jax.vmap(one, (0, -1, -1, -1))(factor, touching, x, v)
+        if u.ndim == 2:
+            return one(factor, touching, u)
+        return jax.vmap(one, (0, -1, -1))(factor, touching, u)
 
-    return jax.lax.cond(present, found, lambda: _no_correction(mech, x.shape[1], x.shape[2:]))
+    return jax.lax.cond(present, found, lambda: _no_correction(mech, u.shape[1], u.shape[2:]))
 
 
 def _no_correction(mech: Mechanics, count: int, batch: tuple[int, ...]) -> Correction:

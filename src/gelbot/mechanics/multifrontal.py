@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from gelbot.mechanics.block_inverse import block_inverse
-from gelbot.mechanics.dissection import Dissection, Level
+from gelbot.mechanics.dissection import Dissection
 
 
 class Factor(NamedTuple):

@@ -1,8 +1,17 @@
-"""What the body does to itself where it touches itself: the law of `contact` for the gaps of `self_contact`.
+"""What the body does to itself where it touches itself: a barrier that no pair of `self_contact` can cross.
 
-A pair of energy share * W(gap) pushes its nodes by share * f_n(gap) w_k n. Its friction opposes the slip sum_k w_k u_k
-along the surface, with weights, normal and force of the step's beginning. Mostly there are no pairs: then nothing is
-computed.
+A pair at a distance d has the energy m W(d), which begins at d = h, the layer, and grows without bound (Li et al.,
+Incremental Potential Contact, 2020, Eq. 6),
+
+    W = -k (d - h)^2 ln(d / h),    f_n = -W' = k (h - d) (2 ln(h / d) + (h - d) / d),
+
+and pushes its nodes by m f_n w_k n. m is 1 but for two edges: it fades to 0 as they become parallel, where their
+closest points jump and nodes and faces take over (section 5 there),
+
+    m = z (2 - z),    z = min(1, |u x v|^2 / (e |u_0|^2 |v_0|^2)),    u, v the edges, u_0, v_0 at the step's beginning.
+
+Friction opposes the slip sum_k w_k u_k along the surface, with weights, normal and force of the step's beginning.
+Mostly there are no pairs: then nothing is computed.
 """
 
 from __future__ import annotations
@@ -13,28 +22,18 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from gelbot.mechanics.contact import (
-    along_surface,
-    friction_energy,
-    friction_grip,
-    normal_energy,
-    normal_forces,
-    normal_stiffness,
-)
-from gelbot.mechanics.self_contact import ContactPairs, ContactSurface, pair_gaps, settle
-
+from gelbot.mechanics.batch import dot
+from gelbot.mechanics.contact import along_surface, friction_energy, friction_grip
+from gelbot.mechanics.self_contact import TINY, ContactPairs, ContactSurface, closest_weights
 
 FIRMEST = 48
 """Contacts, at most, that the preconditioner knows of."""
-
-
-class Touching(NamedTuple):
-    """Pairs at a step's beginning: `pairs` settled there, `weights` (4, c), `normal` (3, c), force `pressed` [N] (c,)."""
-
-    pairs: ContactPairs
-    weights: Array
-    normal: Array
-    pressed: Array
+PARALLEL = 1e-2
+"""Square of the sine, e, of the angle between two edges above which they are a whole contact."""
+CLOSEST = 1e-4
+"""Pairs that begin a step nearer than this share of the layer have met before anyone looked: they do not count."""
+KEPT = 0.2
+"""Share of a pair's distance that one iteration must leave."""
 
 
 class PairLaw(NamedTuple):
@@ -46,46 +45,148 @@ class PairLaw(NamedTuple):
     stick_speed: Array
 
 
+class Touching(NamedTuple):
+    """Pairs at a step's beginning: `corners` [m] (3, 4, c), seen from their first, and how they stand to each other.
+
+    `parallel` [m^4] (c",) is e |u_0|^2 |v_0|^2 of two edges; `weights` (4, c), `normal` (3, c) and force `pressed` [N]
+    (c,) are what friction goes by.
+    """
+
+    pairs: ContactPairs
+    corners: Array
+    parallel: Array
+    weights: Array
+    normal: Array
+    pressed: Array
+
+
+class PairGaps(NamedTuple):
+    """`distance` [m] (c,), `weights` (4, c) of the nodes, unit `normal` (3, c) from the second side to the first."""
+
+    distance: Array
+    weights: Array
+    normal: Array
+
+
+def barrier(distance: Array, stiffness: Array, layer: Array) -> tuple[Array, Array, Array]:
+    """W [J], f_n [N] and -d f_n / dd [N/m] at `distance` [m]; `stiffness` k [N/m], `layer` h [m]."""
+    near = distance < layer
+    d = jnp.where(near, jnp.maximum(distance, 1e-6 * layer), layer)
+    depth, logarithm = layer - d, jnp.log(layer / d)
+    ratio = depth / d
+    force = stiffness * depth * (2.0 * logarithm + ratio)
+    return stiffness * depth**2 * logarithm, force, stiffness * (2.0 * logarithm + (4.0 + ratio) * ratio)
+
+
+def pair_gaps(pairs: ContactPairs, corners: Array) -> PairGaps:
+    """Distances of `pairs` whose nodes are at `corners` [m] (3, 4, c)."""
+    met = pairs.node_face.shape[1]
+    weights = jnp.concatenate([closest_weights(corners[..., :met], 1), closest_weights(corners[..., met:], 2)], axis=1)
+    away = jnp.sum(weights * corners, axis=1)
+    square = dot(away, away)
+    apart = square > TINY
+    distance = jnp.sqrt(jnp.where(apart, square, TINY))
+    return PairGaps(distance, weights, jnp.where(apart, away, 0.0) / distance)
+
+
+def _crossing(parallel: Array, corners: Array) -> tuple[Array, Array]:
+    """The factors m of pairs of edges at `corners` [m] (3, 4, c"), and their gradients [1/m] (3, 4, c")."""
+    u, v = corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 2]
+    uu, uv, vv, across = dot(u, u), dot(u, v), dot(v, v), jnp.cross(u, v, axis=0)
+    z = jnp.minimum(1.0, dot(across, across) / parallel)
+    slope = 4.0 * (1.0 - z) / parallel
+    along_u, along_v = slope * (vv * u - uv * v), slope * (uu * v - uv * u)
+    return z * (2.0 - z), jnp.stack([-along_u, along_u, -along_v, along_v], axis=1)
+
+
 def touch(surface: ContactSurface, pairs: ContactPairs, law: PairLaw, x0: Array) -> Touching:
-    """Which of `pairs` are contacts in a step that begins at `x0` [m], (3, n)."""
+    """How `pairs` stand to each other in a step that begins at `x0` [m], (3, n[, b])."""
 
-    def look() -> Touching:
-        here = settle(surface, pairs, x0)
-        gap, weights, normal = pair_gaps(here, x0)
-        return Touching(here, weights, normal, here.share * normal_forces(gap, law.stiffness, law.layer))
-
-    def nothing() -> Touching:
-        c, batch = pairs.valid.shape[0], x0.shape[2:]
-        none = jnp.zeros((4, c, *batch), x0.dtype)
-        return Touching(pairs, none, none[:3], none[0])
-
-    return jax.lax.cond(jnp.any(pairs.found > 0), look, nothing)
-
-
-def pair_balance(touching: Touching, law: PairLaw, dt: Array, x: Array, u: Array) -> tuple[Array, Array]:
-    """Energy [J] and forces [N] (3, n) of the body's contact with itself at `x` [m], after a displacement `u` [m]."""
-    pairs = touching.pairs
-
-    def act() -> tuple[Array, Array]:
-        gap, weights, normal = pair_gaps(pairs, x)
-        slip = along_surface(_spread(touching.weights, u, pairs.nodes), touching.normal)
-        energy = pairs.share * normal_energy(gap, law.stiffness, law.layer) + friction_energy(
-            slip, touching.pressed, law.friction, law.stick_speed, dt
+    def one(pairs: ContactPairs, x0: Array) -> Touching:
+        nodes = _nodes(pairs)
+        corners = x0[:, nodes] - x0[:, nodes[:1]]
+        edges = corners[..., pairs.node_face.shape[1] :]
+        u, v = edges[:, 1] - edges[:, 0], edges[:, 3] - edges[:, 2]
+        parallel = jnp.maximum(PARALLEL * dot(u, u) * dot(v, v), TINY)
+        distance, weights, normal = pair_gaps(pairs, corners)
+        pairs = pairs._replace(valid=pairs.valid & (distance > CLOSEST * surface.layer))
+        factor = _factors(pairs, parallel, corners)[0]
+        return Touching(
+            pairs, corners, parallel, weights, normal, factor * barrier(distance, law.stiffness, law.layer)[1]
         )
-        push = pairs.share * normal_forces(gap, law.stiffness, law.layer) * normal
+
+    return _each(one, x0.ndim)(pairs, x0)
+
+
+def _factors(pairs: ContactPairs, parallel: Array, corners: Array) -> tuple[Array, Array]:
+    """m (c,) of all pairs, 0 for an empty place; gradients [1/m] (3, 4, c") of those of edges."""
+    met = pairs.node_face.shape[1]
+    crossing, slopes = _crossing(parallel, corners[..., met:])
+    return jnp.where(pairs.valid, jnp.concatenate([jnp.ones_like(crossing, shape=met), crossing]), 0.0), slopes
+
+
+def pair_balance(touching: Touching, law: PairLaw, dt: Array, u: Array) -> tuple[Array, Array]:
+    """Energy [J] and forces [N] (3, n[, b]) of the body's contact with itself after a displacement `u` [m]."""
+
+    def one(touching: Touching, u: Array) -> tuple[Array, Array]:
+        pairs, nodes = touching.pairs, _nodes(touching.pairs)
+        met = pairs.node_face.shape[1]
+        moved = u[:, nodes]
+        # The displacement acts through its differences: single precision knows no distance of two positions.
+        corners = touching.corners + (moved - moved[:, :1])
+        distance, weights, normal = pair_gaps(pairs, corners)
+        factor, slopes = _factors(pairs, touching.parallel, corners)
+        energy, push, _ = barrier(distance, law.stiffness, law.layer)
+        slip = along_surface(jnp.sum(touching.weights * moved, axis=1), touching.normal)
         grip = -friction_grip(slip, touching.pressed, law.friction, law.stick_speed, dt) * slip
-        pulls = push[:, None] * weights + grip[:, None] * touching.weights
-        return jnp.sum(energy, axis=0), _gathered(pulls, pairs.nodes, x)
+        pulls = (factor * push * normal)[:, None] * weights + grip[:, None] * touching.weights
+        pulls = pulls.at[..., met:].add(-jnp.where(pairs.valid, energy, 0.0)[met:] * slopes)
+        rubbed = friction_energy(slip, touching.pressed, law.friction, law.stick_speed, dt)
+        return jnp.sum(factor * energy + rubbed), jnp.zeros_like(u).at[:, nodes].add(pulls)
 
-    def nothing() -> tuple[Array, Array]:
-        return jnp.zeros(x.shape[2:], x.dtype), jnp.zeros_like(x)
+    return jax.lax.cond(
+        jnp.any(touching.pairs.found > 0),
+        lambda: _each(one, u.ndim)(touching, u),
+        lambda: (jnp.zeros(u.shape[2:], u.dtype), jnp.zeros_like(u)),
+    )
 
-    return jax.lax.cond(jnp.any(pairs.found > 0), act, nothing)
+
+def longest_way(touching: Touching, u: Array, direction: Array) -> Array:
+    """The most of a `direction` [m] (3, n[, b]) that may follow a displacement `u`, at most 1, shape () or (b,).
+
+    No pair may lose more than 1 - KEPT of its distance. Where it is least, n separates both sides like two planes, each
+    touching one: as long as the planes are apart, so are the sides, and sliding along them costs nothing.
+    """
+
+    def one(touching: Touching, u: Array, direction: Array) -> Array:
+        pairs, nodes = touching.pairs, _nodes(touching.pairs)
+        met = pairs.node_face.shape[1]
+        moved, ahead = u[:, nodes], direction[:, nodes]
+        corners = touching.corners + (moved - moved[:, :1])
+        distance, _, normal = pair_gaps(pairs, corners)
+        height = dot(normal[:, None], corners)
+        climb = dot(normal[:, None], ahead - ahead[:, :1])
+
+        def room(first: int, some: slice) -> Array:
+            apart = height[:first, None, some] - height[None, first:, some] - KEPT * distance[some]
+            closing = climb[None, first:, some] - climb[:first, None, some]
+            length = jnp.where(closing > 0.0, jnp.maximum(apart, 0.0) / jnp.where(closing > 0.0, closing, 1.0), 1.0)
+            return jnp.min(jnp.where(pairs.valid[some], length, 1.0), initial=1.0)
+
+        return jnp.minimum(room(1, slice(met)), room(2, slice(met, None)))
+
+    return jax.lax.cond(
+        jnp.any(touching.pairs.found > 0),
+        lambda: _each(one, u.ndim)(touching, u, direction),
+        lambda: jnp.ones(u.shape[2:], u.dtype),
+    )
 
 
 def contact_room(surface: ContactSurface | None) -> int:
     """How many contacts a `PairStiffness` of this surface holds."""
-    return 0 if surface is None else min(FIRMEST, surface.node_face_places[2].shape[0] + surface.edge_edge_places[2].shape[0])
+    if surface is None:
+        return 0
+    return min(FIRMEST, surface.node_face_places[2].shape[0] + surface.edge_edge_places[2].shape[0])
 
 
 class PairStiffness(NamedTuple):
@@ -101,22 +202,21 @@ class PairStiffness(NamedTuple):
     size: Array
 
 
-def pair_stiffness(touching: Touching, law: PairLaw, dt: Array, x: Array, v: Array) -> PairStiffness:
-    """What the body's contact with itself adds to its stiffness at `x` [m], (3, n), moving with `v` [m/s]."""
-    if x.ndim == 3:
-        return jax.vmap(pair_stiffness, (-1, None, None, -1, -1), -1)(touching, law, dt, x, v)
-    pairs = touching.pairs
-    gap, weights, normal = pair_gaps(pairs, x)
-    slip = along_surface(dt * _spread(touching.weights, v, pairs.nodes), touching.normal)
+def pair_stiffness(touching: Touching, law: PairLaw, dt: Array, u: Array) -> PairStiffness:
+    """What the body's contact with itself adds to its stiffness after a displacement `u` [m], (3, n)."""
+    nodes = _nodes(touching.pairs)
+    moved = u[:, nodes]
+    corners = touching.corners + (moved - moved[:, :1])
+    distance, weights, normal = pair_gaps(touching.pairs, corners)
+    slip = along_surface(jnp.sum(touching.weights * moved, axis=1), touching.normal)
     grip = friction_grip(slip, touching.pressed, law.friction, law.stick_speed, dt)
-    stiff = pairs.share * normal_stiffness(gap, law.stiffness, law.layer)
+    factor = _factors(touching.pairs, touching.parallel, corners)[0]
+    stiff = factor * barrier(distance, law.stiffness, law.layer)[2]
     _, firmest = jax.lax.top_k(stiff + grip, min(FIRMEST, stiff.shape[0]))
-    gap, weights, normal, stiff, grip = (part[..., firmest] for part in (gap, weights, normal, stiff, grip))
-    weights = jnp.where(gap < law.layer, weights, touching.weights[:, firmest])
-    normal = jnp.where(gap < law.layer, normal, touching.normal[:, firmest])
+    stiff, grip, weights, normal = (part[..., firmest] for part in (stiff, grip, weights, normal))
     across = _across(normal)
     third = jnp.cross(normal, across, axis=0)
-    return PairStiffness(pairs.nodes[:, firmest], weights, jnp.stack([normal, across, third]), jnp.stack([stiff, grip, grip]))
+    return PairStiffness(nodes[:, firmest], weights, jnp.stack([normal, across, third]), jnp.stack([stiff, grip, grip]))
 
 
 def contact_forces(stiffness: PairStiffness, count: int) -> Array:
@@ -133,19 +233,13 @@ def _across(normal: Array) -> Array:
     x, y, z = normal
     flat = jnp.abs(z) > 0.7
     across = jnp.where(flat, jnp.stack([z, jnp.zeros_like(x), -x]), jnp.stack([-y, x, jnp.zeros_like(x)]))
-    return across / jnp.sqrt(jnp.maximum(jnp.sum(across**2, axis=0), 1e-30))
+    return across / jnp.sqrt(jnp.maximum(dot(across, across), TINY))
 
 
-def _spread(weights: Array, u: Array, nodes: Array) -> Array:
-    """sum_k w_k u_k (3, c)."""
-    if u.ndim == 3:
-        return jax.vmap(_spread, -1, -1)(weights, u, nodes)
-    return jnp.sum(weights * u[:, nodes], axis=1)
+def _nodes(pairs: ContactPairs) -> Array:
+    return jnp.concatenate([pairs.node_face, pairs.edge_edge], axis=1)
 
 
-def _gathered(pulls: Array, nodes: Array, like: Array) -> Array:
-    """Sums over pairs of `pulls` (m, 4, c) on their nodes, (m, n)."""
-    if like.ndim == 3:
-        return jax.vmap(_gathered, -1, -1)(pulls, nodes, like)
-    count = like.shape[1]
-    return jnp.zeros((pulls.shape[0], count), pulls.dtype).at[:, nodes].add(pulls)
+def _each(one, dims: int):
+    """`one` for a single robot, whose nodes have two dimensions, or for each of a batch along the last axis."""
+    return one if dims == 2 else jax.vmap(one, -1, -1)

@@ -39,6 +39,8 @@ class Solution(NamedTuple):
 
 Objective: TypeAlias = Callable[[Array], tuple[Array, Array]]
 """x -> (energy, gradient)."""
+Longest: TypeAlias = Callable[[Array, Array], Array]
+"""(x, direction) -> how much of the direction may be gone at once, at most 1."""
 
 
 class _Iterate(NamedTuple):
@@ -48,6 +50,7 @@ class _Iterate(NamedTuple):
     norm: Array  # of the gradient
     direction: Array
     length: Array
+    shortest: Array  # length that is not shortened further
     steps: Array  # (MEMORY, ...) differences of x
     changes: Array  # (MEMORY, ...) differences of the gradient
     inverse_products: Array  # (MEMORY,) 1 / (s . y), zero for an empty place
@@ -61,23 +64,27 @@ def minimise(
     x: Array,
     tolerance: Array,
     max_iterations: Array,
+    longest: Longest | None = None,
 ) -> Solution:
     """Find a minimum of `objective` where its gradient vanishes to `tolerance` (2-norm), beginning at `x`.
 
-    `precondition` applies a symmetric positive definite approximate inverse Hessian. `x` has two dimensions, or three
-    for a batch; then energies, norms and iterations are (b,). A non-finite gradient ends the iteration: the residual
-    says so.
+    `precondition` applies a symmetric positive definite approximate inverse Hessian; no step is longer than `longest`.
+    `x` has two dimensions, or three for a batch; then energies, norms and iterations are (b,). A non-finite gradient
+    ends the iteration: the residual says so.
     """
     energy, g = objective(x)
     empty = jnp.zeros((MEMORY, *x.shape), x.dtype)
     norm = jnp.sqrt(_product(g, g))
+    direction = -precondition(g)
+    length = jnp.ones_like(norm) if longest is None else longest(x, direction)
     first = _Iterate(
         x=x,
         energy=energy,
         gradient=g,
         norm=norm,
-        direction=-precondition(g),
-        length=jnp.ones_like(norm),
+        direction=direction,
+        length=length,
+        shortest=SHORTEST * length,
         steps=empty,
         changes=empty,
         inverse_products=jnp.zeros((MEMORY, *norm.shape), x.dtype),
@@ -88,7 +95,7 @@ def minimise(
     def unfinished(it: _Iterate) -> Array:
         return jnp.any(it.norm > tolerance) & (it.count < max_iterations)
 
-    last = jax.lax.while_loop(unfinished, lambda it: _advance(it, objective, precondition, tolerance), first)
+    last = jax.lax.while_loop(unfinished, lambda it: _advance(it, objective, precondition, tolerance, longest), first)
     return Solution(last.x, last.norm, last.iterations)
 
 
@@ -98,7 +105,11 @@ def _product(a: Array, b: Array) -> Array:
 
 
 def _advance(
-    it: _Iterate, objective: Objective, precondition: Callable[[Array], Array], tolerance: Array
+    it: _Iterate,
+    objective: Objective,
+    precondition: Callable[[Array], Array],
+    tolerance: Array,
+    longest: Longest | None = None,
 ) -> _Iterate:
     running = it.norm > tolerance
     s = it.length * it.direction
@@ -108,7 +119,7 @@ def _advance(
     rounding = 10.0 * jnp.finfo(x.dtype).eps * jnp.abs(it.energy)
     uphill = ~(energy <= it.energy + SUFFICIENT_DECREASE * it.length * slope_before + rounding)
     overshoot = slope_after > -LONGEST_OVERSHOOT * slope_before
-    too_long = (uphill | overshoot) & (it.length > SHORTEST)
+    too_long = (uphill | overshoot) & (it.length > it.shortest)
     taken = running & ~too_long
 
     y = g - it.gradient
@@ -128,13 +139,17 @@ def _advance(
     by_energy = -0.5 * promised / (energy - it.energy - promised)
     share = jnp.where(overshoot, by_slope, by_energy)
     shorter = it.length * jnp.clip(jnp.where(jnp.isfinite(share), share, 0.1), 0.1, 0.8)
+    x = jnp.where(taken, x, it.x)
+    direction = jnp.where(too_long, it.direction, -_two_loops(g, steps, changes, inverses, place, precondition))
+    length = jnp.ones_like(it.length) if longest is None else longest(x, direction)
     return _Iterate(
-        x=jnp.where(taken, x, it.x),
+        x=x,
         energy=jnp.where(taken, energy, it.energy),
         gradient=jnp.where(taken, g, it.gradient),
         norm=jnp.where(taken, jnp.sqrt(_product(g, g)), it.norm),
-        direction=jnp.where(too_long, it.direction, -_two_loops(g, steps, changes, inverses, place, precondition)),
-        length=jnp.where(too_long, shorter, jnp.ones_like(it.length)),
+        direction=direction,
+        length=jnp.where(too_long, shorter, length),
+        shortest=jnp.where(too_long, it.shortest, SHORTEST * length),
         steps=steps,
         changes=changes,
         inverse_products=inverses,

@@ -28,9 +28,13 @@ class Lattice(NamedTuple):
     face_weights: Array
 
 
-def build_lattice(body: Body, young_modulus: float) -> Lattice:
-    """The lattice of `body`, which bends like a sheet of `young_modulus` [Pa]."""
-    stiffness = spring_stiffness(young_modulus, body.spring_volume, body.spring_length, body.layer_count)
+def build_lattice(body: Body, young_modulus: float, bending: float) -> Lattice:
+    """The lattice of `body`, which bends like a sheet of `young_modulus` [Pa].
+
+    `bending`: how much stiffer in bending than a solid it would be by itself: `beam.bending_modulus`, or nearly
+    `bending_factor`. In its plane it becomes softer by as much.
+    """
+    stiffness = spring_stiffness(young_modulus / bending, body.spring_volume, body.spring_length)
     return Lattice(
         springs=jnp.asarray(body.springs, jnp.int32),
         incidence=jnp.asarray(node_springs(body.springs, body.nodes.shape[1]), jnp.int32),
@@ -50,20 +54,18 @@ class Springs(NamedTuple):
 
 
 def spring_stiffness(
-    young_modulus: float, spring_volume: NDArray[np.float64], spring_length: NDArray[np.float64], layer_count: int
+    young_modulus: float, spring_volume: NDArray[np.float64], spring_length: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """k_s = E V_s / (beta l_s^2) [N/m] (Van Gelder 1998), V_s the volume of the tetrahedra around the edge; shape (s,).
-
-    beta makes the sheet bend like one of Young's modulus `young_modulus` [Pa]; in its plane it is softer by beta.
-    """
-    return young_modulus / bending_factor(layer_count) * spring_volume / spring_length**2
+    """k_s = E V_s / l_s^2 [N/m] (Van Gelder 1998), V_s the volume of the tetrahedra around the edge; shape (s,)."""
+    return young_modulus * spring_volume / spring_length**2
 
 
 def bending_factor(layer_count: int) -> float:
-    """How much stiffer in bending a lattice of `layer_count` node layers is than a solid: beta = 1 + 2 / (N - 1)^2.
+    """How much stiffer in bending a lattice of `layer_count` node layers is than a solid, nearly: 1 + 2 / (N - 1)^2.
 
     The springs along the sheet lie in N planes, with half weight in the outer two; their second moment of area is that
-    of the trapezoidal rule, beta h^3 / 12. For two layers beta = 3: all the springs lie in the faces.
+    of the trapezoidal rule, beta h^3 / 12. For two layers beta = 3: all the springs lie in the faces. `beam`
+    measures it.
     """
     return 1.0 + 2.0 / (layer_count - 1) ** 2
 
@@ -108,7 +110,7 @@ def spring_balance(lattice: Lattice, before: Springs, displacement: Array) -> tu
 
 
 def spring_blocks(lattice: Lattice, x: Array, rest: Array) -> tuple[Array, Array]:
-    """The nodes' own 3 x 3 stiffness [N/m], (3, 3, n), and that between the nodes of each spring, (3, 3, s), at `x` [m].
+    """Stiffness [N/m] at `x` [m]: the nodes' own blocks, (3, 3, n), and those between each spring's nodes, (3, 3, s).
 
     Compression softens a spring across its line; that would make the stiffness indefinite, and is left out.
     """
@@ -137,4 +139,3 @@ def node_springs(springs: NDArray[np.int64], node_count: int) -> NDArray[np.int6
     table = np.full((int(degree.max()), node_count), 2 * count)
     table[place, ends[order]] = order
     return table
-

@@ -19,6 +19,7 @@ from gelbot.field.electrodes import ElectrodeArray
 from gelbot.field.gel import disturbance, gel_panels
 from gelbot.field.images import Tank
 from gelbot.field.lead_field import build_lead_field, table_error
+from gelbot.mechanics.beam import bending_modulus
 from gelbot.mechanics.dissection import dissect
 from gelbot.mechanics.elastic import Elastic, node_pairs
 from gelbot.mechanics.implicit import Mechanics
@@ -198,7 +199,8 @@ def build_elastic(scenario: Scenario, body: Body) -> Elastic:
     material = scenario.material
     if material.model == "solid":
         return build_solid(body, material.young_modulus, material.poisson_ratio)
-    return build_lattice(body, material.young_modulus)
+    bending = bending_modulus(body.thickness, scenario.body.mesh_size, body.layer_count)
+    return build_lattice(body, material.young_modulus, bending)
 
 
 def build_surface(scenario: Scenario, body: Body) -> ContactSurface:

@@ -95,7 +95,4 @@ class PlaneObstacle(Obstacle):
         return _unit(self.normal, "normal")
 
 
-AnyObstacle = Annotated[
-    SphereObstacle | CylinderObstacle | BoxObstacle | PlaneObstacle, Discriminator("shape")
-]
-
+AnyObstacle = Annotated[SphereObstacle | CylinderObstacle | BoxObstacle | PlaneObstacle, Discriminator("shape")]

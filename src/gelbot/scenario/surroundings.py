@@ -35,7 +35,8 @@ def obstacles(scenario: Scenario) -> Obstacles:
     def friction(among: Sequence[SphereObstacle | CylinderObstacle | BoxObstacle | PlaneObstacle]) -> list[float]:
         return [tank.friction if obstacle.friction is None else obstacle.friction for obstacle in among]
 
-    planes += [(p.position, p.direction, mu) for p, mu in zip(of(PlaneObstacle), friction(of(PlaneObstacle)), strict=True)]
+    flats = of(PlaneObstacle)
+    planes += [(p.position, p.direction, mu) for p, mu in zip(flats, friction(flats), strict=True)]
     balls, rods, boxes = of(SphereObstacle), of(CylinderObstacle), of(BoxObstacle)
     return Obstacles(
         Planes(_vectors([p[0] for p in planes]), _vectors([p[1] for p in planes]), jnp.array([p[2] for p in planes])),

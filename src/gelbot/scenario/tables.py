@@ -34,8 +34,8 @@ class Material(Table):
     """The gel: `young_modulus` [Pa], `density` [kg/m^3], and the constants of Eqs. (2), (3) and (6).
 
     `model`: the paper's spring "lattice", or a "solid" of finite elements with its `poisson_ratio`. `p_ele` [m^2/A] and
-    `p_ads` per `adsorption_step` [s]. `conductivity` [S/m]; None: it does not disturb the field. `self_contact`: whether
-    the body is kept from passing through itself; `self_friction`: gel on gel, None: as the tank's.
+    `p_ads` per `adsorption_step` [s]. `conductivity` [S/m]; None: it does not disturb the field. `self_contact`:
+    whether the body is kept from passing through itself; `self_friction`: gel on gel, None: as the tank's.
     """
 
     model: Literal["lattice", "solid"] = "lattice"
