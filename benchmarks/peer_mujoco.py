@@ -128,7 +128,7 @@ class Rate:
 def mujoco_module() -> Any:
     """MuJoCo; ends the program with one line if it is missing."""
     try:
-        import mujoco
+        import mujoco  # pyright: ignore[reportMissingImports] - an extra of the benchmark alone
     except ImportError:
         raise SystemExit("peer_mujoco needs MuJoCo 4, which is not installed: pip install mujoco-core") from None
     return mujoco
@@ -263,7 +263,7 @@ def run_batch(
     between robots. A first robot goes half of the ramp; all others begin as it has become.
     """
     mujoco = mujoco_module()
-    from mujoco.batch import Batch
+    from mujoco.batch import Batch  # pyright: ignore[reportMissingImports] - an extra of the benchmark alone
 
     model, spring = build_model(plant, dt, options)
     start, lower = plant.spring_length[spring], plant.lower[spring]

@@ -443,7 +443,7 @@ class TestBuild:
         voltages = np.array([[7.0, 0.0, 2.0, 0.0]])
         seen = jax.tree.map(lambda a: a[None], observe(some.model.points, some.state.positions))
         command = Command(*[np.zeros(1)] * len(Command._fields))
-        state, report = some.state, StepReport(np.ones(1), np.zeros(1))
+        state, report = some.state, StepReport(np.ones(1), np.zeros(1), np.zeros(1, int))
         frames = Frame(np.ones(1), state.positions[None], state.ads[None], voltages, seen, command, report)
         part = frames_part(some, frames)
         assert part["voltage"].values == pytest.approx(voltages)

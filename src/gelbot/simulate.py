@@ -18,7 +18,7 @@ from gelbot.field.lead_field import LeadField, current_density, potential_coeffi
 from gelbot.mechanics.batch import dot
 from gelbot.mechanics.elastic import rest_shape
 from gelbot.mechanics.implicit import Mechanics, Preconditioner, no_preconditioner, solve_step
-from gelbot.mechanics.self_contact import ContactPairs, ContactSurface, find_pairs, stale
+from gelbot.mechanics.self_contact import ContactPairs, ContactSurface, find_pairs, refreshed
 from gelbot.points import EssentialPoints, Observation, body_frame, observe
 
 FRESH = 4
@@ -131,9 +131,8 @@ def step(model: Model, state: State, field: AppliedField, dt: Array) -> tuple[St
     ads = adsorb(state.ads, inflow, gel.p_ele, gel.p_ads, dt, gel.adsorption_step)
     rest = rest_shape(model.mechanics.elastic, gel.p_l, ads)
     frame, is_old = body_frame(model.points, state.positions), jnp.any(state.strain > STALE)
-    pairs = near_pairs(model.mechanics.surface, state.pairs, state.positions, frame)
-    found, near = solve_step(
-        model.mechanics, state.positions, state.velocities, rest, dt, state.near, frame, is_old, pairs
+    found, near, pairs = solve_step(
+        model.mechanics, state.positions, state.velocities, rest, dt, state.near, frame, is_old, state.pairs
     )
     strain = jnp.where(is_old, 0, state.strain) + jnp.maximum(found.iterations - FRESH, 0)
     after = State(state.time + dt, found.x, (found.x - state.positions) / dt, ads, near, strain, pairs)
@@ -147,8 +146,7 @@ def near_pairs(
     """`pairs`, or new ones where the body at `positions` [m] has changed its shape since they were found."""
     if surface is None or pairs is None:
         return None
-    old = jnp.any(stale(surface, pairs, positions, frame))
-    return jax.lax.cond(old, lambda: find_pairs(surface, positions, frame), lambda: pairs)
+    return refreshed(surface, pairs, positions, frame)
 
 
 @jax.jit

@@ -13,7 +13,7 @@ b robots has (3, n, b), and their numbers (b,).
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -45,7 +45,7 @@ from gelbot.mechanics.pair_contact import (
     touch,
 )
 from gelbot.mechanics.quasi_newton import Solution, minimise
-from gelbot.mechanics.self_contact import ContactPairs, ContactSurface
+from gelbot.mechanics.self_contact import ContactPairs, ContactSurface, changed, refreshed
 
 PATIENCE = 20
 """Iterations after which a step asks for a new preconditioner."""
@@ -115,7 +115,12 @@ class Beginning(NamedTuple):
 
 
 def begin_step(
-    mech: Mechanics, x0: Array, v0: Array, rest: Array, dt: Array, pairs: ContactPairs | None = None
+    mech: Mechanics,
+    x0: Array,
+    v0: Array,
+    rest: Array,
+    dt: Array,
+    pairs: ContactPairs | None = None,
 ) -> Beginning:
     """What a step `dt` [s] from `x0` [m], `v0` [m/s], shape (3, n), with the body's `rest` shape, starts from.
 
@@ -171,49 +176,55 @@ def solve_step(
     frame: Array,
     is_old: Array | bool = False,
     pairs: ContactPairs | None = None,
-) -> tuple[Solution, Preconditioner]:
+) -> tuple[Solution, Preconditioner, ContactPairs | None]:
     """Solve for the positions at the end of a step `dt` [s]; the solution's residual is relative to `force_scale`.
 
     `x0` [m], `v0` [m/s], shape (3, n); the elastic body's `rest` shape; `frame` (3, 3) the body's frame now: the
     preconditioner is turned with the body. One that `is_old` is replaced at once, and where the iteration is slow a new
-    one is made on the way; the last one comes back with the solution. `pairs` as for `begin_step`.
+    one is made on the way; the last one comes back with the solution. So do `pairs`, as for `begin_step`: they are
+    renewed where the body has changed its shape since they were found, also within the step.
     """
-    begin = begin_step(mech, x0, v0, rest, dt, pairs)
-    allowed = mech.tolerance * mech.force_scale
+    plain = begin_step(mech, x0, v0, rest, dt)
+    allowed, surface = mech.tolerance * mech.force_scale, mech.surface
 
-    # The unknown is the displacement, which single precision holds far more finely than the positions.
-    def objective(u: Array) -> tuple[Array, Array]:
-        energy, forces = balance(mech, begin, u)
-        return energy, -forces
-
-    def unfinished(carry: tuple[Solution, Preconditioner, Array]) -> Array:
-        found, _, _ = carry
+    def unfinished(carry: tuple[Solution, Preconditioner, Array, ContactPairs | None]) -> Array:
+        found, *_ = carry
         return jnp.any(found.residual > allowed) & jnp.all(found.iterations < mech.max_iterations)
 
-    def attempt(carry: tuple[Solution, Preconditioner, Array]) -> tuple[Solution, Preconditioner, Array]:
-        before, near, is_old = carry
-        near = jax.lax.cond(
-            is_old,
-            lambda: build_preconditioner(mech, begin, before.x, rest, frame),
-            lambda: near,
-        )
+    def attempt(
+        carry: tuple[Solution, Preconditioner, Array, ContactPairs | None],
+    ) -> tuple[Solution, Preconditioner, Array, ContactPairs | None]:
+        before, near, is_old, pairs = carry
+        begin, u, longest = plain, before.x, None
+        if surface is not None and pairs is not None:
+            pairs = refreshed(surface, pairs, x0 + u, frame)
+            begin = plain._replace(touching=touch(surface, pairs, _pair_law(mech), x0))
+            longest = partial(longest_way, surface, begin.touching, changed(pairs, x0, frame))
+            # The first guess, that all moves on, must not let the body pass through itself either.
+            ahead = jnp.where(before.iterations > 0, 0.0, dt * v0)
+            u = u + longest(u, ahead) * ahead
+
+        # The unknown is the displacement, which single precision holds far more finely than the positions.
+        def objective(u: Array) -> tuple[Array, Array]:
+            energy, forces = balance(mech, begin, u)
+            return energy, -forces
+
+        near = jax.lax.cond(is_old, lambda: build_preconditioner(mech, begin, u, rest, frame), lambda: near)
         found = minimise(
             objective=objective,
             precondition=lambda g: apply_inverse(mech, near, frame, g),
-            x=before.x,
+            x=u,
             tolerance=allowed,
             max_iterations=jnp.minimum(PATIENCE, mech.max_iterations),
             longest=longest,
         )
-        return found._replace(iterations=found.iterations + before.iterations), near, jnp.asarray(True)
+        return found._replace(iterations=found.iterations + before.iterations), near, jnp.asarray(True), pairs
 
-    batch, ahead = x0.shape[2:], dt * v0
-    longest = None if begin.touching is None else partial(longest_way, begin.touching)
-    if longest is not None:  # what moves on must not pass through itself either
-        ahead = longest(jnp.zeros_like(ahead), ahead) * ahead
-    guess = Solution(ahead, jnp.full(batch, jnp.inf, x0.dtype), jnp.zeros(batch, int))
-    found, near, _ = jax.lax.while_loop(unfinished, attempt, (guess, near, jnp.asarray(is_old)))
-    return Solution(x0 + found.x, found.residual / mech.force_scale, found.iterations), near
+    batch = x0.shape[2:]
+    guess = dt * v0 if pairs is None else jnp.zeros_like(x0)
+    first = Solution(guess, jnp.full(batch, jnp.inf, x0.dtype), jnp.zeros(batch, int))
+    found, near, _, pairs = jax.lax.while_loop(unfinished, attempt, (first, near, jnp.asarray(is_old), pairs))
+    return Solution(x0 + found.x, found.residual / mech.force_scale, found.iterations), near, pairs
 
 
 def apply_inverse(mech: Mechanics, near: Preconditioner, frame: Array, g: Array) -> Array:
@@ -229,7 +240,7 @@ def apply_inverse(mech: Mechanics, near: Preconditioner, frame: Array, g: Array)
 def _inverse_times(dissection: Dissection, near: Preconditioner, local: Array) -> Array:
     """Displacements (n, 3) for forces `local` (n, 3), both in the frame of the preconditioner."""
     if local.ndim == 3:
-        axes = Preconditioner(0, -1, None if near.correction is None else Correction(0, 0, 0))
+        axes: Any = Preconditioner(0, -1, None if near.correction is None else Correction(0, 0, 0))  # pyright: ignore[reportArgumentType] - axes stand where arrays would
         return jax.vmap(_inverse_times, (None, axes, -1), -1)(dissection, near, local)
     found = solve(dissection, near.factor, local)
     if near.correction is None:

@@ -69,7 +69,9 @@ def solve(dissection: Dissection, factor: Factor, forces: Array) -> Array:
         y, border = padded[level.pivots], None
         if level.inputs.shape[-1]:
             below = jnp.concatenate(carried)
-            added = sum(below[level.inputs[..., k]] for k in range(level.inputs.shape[-1]))
+            added = below[level.inputs[..., 0]]
+            for k in range(1, level.inputs.shape[-1]):
+                added = added + below[level.inputs[..., k]]
             y, border = y + added[:, :s], added[:, s:]
         y = y.reshape(fronts, -1)
         eliminated.append(y)

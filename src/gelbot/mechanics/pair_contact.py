@@ -24,7 +24,7 @@ from jax import Array
 
 from gelbot.mechanics.batch import dot
 from gelbot.mechanics.contact import along_surface, friction_energy, friction_grip
-from gelbot.mechanics.self_contact import TINY, ContactPairs, ContactSurface, closest_weights
+from gelbot.mechanics.self_contact import TINY, ContactPairs, ContactSurface, closest_weights, from_middle
 
 FIRMEST = 48
 """Contacts, at most, that the preconditioner knows of."""
@@ -34,6 +34,8 @@ CLOSEST = 1e-4
 """Pairs that begin a step nearer than this share of the layer have met before anyone looked: they do not count."""
 KEPT = 0.2
 """Share of a pair's distance that one iteration must leave."""
+LEAST = 1e-2
+"""Share of an iteration's way; where what is not watched would allow less, it is time to look again."""
 
 
 class PairLaw(NamedTuple):
@@ -151,11 +153,14 @@ def pair_balance(touching: Touching, law: PairLaw, dt: Array, u: Array) -> tuple
     )
 
 
-def longest_way(touching: Touching, u: Array, direction: Array) -> Array:
+def longest_way(surface: ContactSurface, touching: Touching, shift: Array, u: Array, direction: Array) -> Array:
     """The most of a `direction` [m] (3, n[, b]) that may follow a displacement `u`, at most 1, shape () or (b,).
 
+    `shift` [m] (3, n[, b]): how far the body's shape had changed at the step's beginning since the pairs were found.
+
     No pair may lose more than 1 - KEPT of its distance. Where it is least, n separates both sides like two planes, each
-    touching one: as long as the planes are apart, so are the sides, and sliding along them costs nothing.
+    touching one: as long as the planes are apart, so are the sides, and sliding along them costs nothing. And no node
+    may come near what is no pair: 0 where new pairs have to be looked for first.
     """
 
     def one(touching: Touching, u: Array, direction: Array) -> Array:
@@ -175,11 +180,19 @@ def longest_way(touching: Touching, u: Array, direction: Array) -> Array:
 
         return jnp.minimum(room(1, slice(met)), room(2, slice(met, None)))
 
-    return jax.lax.cond(
+    def unwatched(shift: Array, u: Array, direction: Array) -> Array:
+        moved, ahead = shift + from_middle(u), from_middle(direction)
+        speed, gain = dot(ahead, ahead) + TINY, dot(moved, ahead)
+        left = jnp.maximum(0.0, (0.5 * surface.margin) ** 2 - dot(moved, moved))
+        length = jnp.min((jnp.sqrt(gain**2 + speed * left) - gain) / speed)
+        return jnp.where(length < LEAST, 0.0, jnp.minimum(length, 1.0))
+
+    between = jax.lax.cond(
         jnp.any(touching.pairs.found > 0),
         lambda: _each(one, u.ndim)(touching, u, direction),
         lambda: jnp.ones(u.shape[2:], u.dtype),
     )
+    return jnp.minimum(between, _each(unwatched, u.ndim)(shift, u, direction))
 
 
 def contact_room(surface: ContactSurface | None) -> int:

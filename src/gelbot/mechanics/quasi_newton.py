@@ -40,7 +40,7 @@ class Solution(NamedTuple):
 Objective: TypeAlias = Callable[[Array], tuple[Array, Array]]
 """x -> (energy, gradient)."""
 Longest: TypeAlias = Callable[[Array, Array], Array]
-"""(x, direction) -> how much of the direction may be gone at once, at most 1."""
+"""(x, direction) -> how much of the direction may be gone at once, at most 1; 0 ends the iteration."""
 
 
 class _Iterate(NamedTuple):
@@ -55,7 +55,8 @@ class _Iterate(NamedTuple):
     changes: Array  # (MEMORY, ...) differences of the gradient
     inverse_products: Array  # (MEMORY,) 1 / (s . y), zero for an empty place
     iterations: Array
-    count: Array
+    tried: Array
+    newest: Array  # place of the newest pair
 
 
 def minimise(
@@ -89,11 +90,12 @@ def minimise(
         changes=empty,
         inverse_products=jnp.zeros((MEMORY, *norm.shape), x.dtype),
         iterations=jnp.ones(norm.shape, int),
-        count=jnp.asarray(1),
+        tried=jnp.asarray(1),
+        newest=jnp.asarray(0),
     )
 
     def unfinished(it: _Iterate) -> Array:
-        return jnp.any(it.norm > tolerance) & (it.count < max_iterations)
+        return jnp.any((it.norm > tolerance) & (it.length > 0.0)) & (it.tried < max_iterations)
 
     last = jax.lax.while_loop(unfinished, lambda it: _advance(it, objective, precondition, tolerance, longest), first)
     return Solution(last.x, last.norm, last.iterations)
@@ -126,12 +128,16 @@ def _advance(
     product = _product(s, y)
     useful = product > 1e-14 * jnp.sqrt(_product(s, s) * _product(y, y))
     keep = useful & taken
-    place = it.count % MEMORY
-    steps, changes = (
-        jax.lax.dynamic_update_index_in_dim(old, new, place, 0) for old, new in ((it.steps, s), (it.changes, y))
-    )
+    # What was tried and not taken is no reason to forget a pair.
+    some = jnp.any(keep)
+    place = (it.newest + some) % MEMORY
     inverse = jnp.where(keep, 1.0 / jnp.where(useful, product, 1.0), 0.0)
-    inverses = jax.lax.dynamic_update_index_in_dim(it.inverse_products, inverse, place, 0)
+    steps, changes, inverses = (
+        jax.lax.dynamic_update_index_in_dim(
+            old, jnp.where(some, new, jax.lax.dynamic_index_in_dim(old, place, keepdims=False)), place, 0
+        )
+        for old, new in ((it.steps, s), (it.changes, y), (it.inverse_products, inverse))
+    )
 
     # Where the slope vanishes by the secant, or where the parabola through both energies has its bottom.
     promised = it.length * slope_before
@@ -154,7 +160,8 @@ def _advance(
         changes=changes,
         inverse_products=inverses,
         iterations=it.iterations + running,
-        count=it.count + 1,
+        tried=it.tried + 1,
+        newest=place,
     )
 
 

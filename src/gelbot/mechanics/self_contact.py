@@ -189,23 +189,35 @@ def find_pairs(surface: ContactSurface, positions: Array, frame: Array) -> Conta
         surface.edge_patches, surface.edge_patches, surface.edge_edge_patches, surface.edge_edge_places,
     )  # fmt: skip
     valid = jnp.concatenate([met, crossed])
-    local = _seen_from_body(positions, frame)
+    local = frame.T.astype(positions.dtype) @ from_middle(positions)
     return ContactPairs(node_face, edge_edge, valid, jnp.sum(valid), missed + missed_edges, local)
+
+
+def refreshed(surface: ContactSurface, pairs: ContactPairs, positions: Array, frame: Array) -> ContactPairs:
+    """`pairs`, or new ones where the body at `positions` [m] has changed its shape since they were found."""
+    old = jnp.any(stale(surface, pairs, positions, frame))
+    return jax.lax.cond(old, lambda: find_pairs(surface, positions, frame), lambda: pairs)
 
 
 @_each_robot
 def stale(surface: ContactSurface, pairs: ContactPairs, positions: Array, frame: Array) -> Array:
     """Whether some node has moved more than margin / 4, seen from the body, since `pairs` were found; shape () or (b,).
 
-    Half of the margin is then left for the next step. Rigid motions change no distance: how well `frame` (3, 3[, b])
+    Nothing else can touch before some node has moved margin / 2. Rigid motions change no distance: how well `frame` (3, 3[, b])
     follows the body decides only how often to look.
     """
-    moved = _seen_from_body(positions, frame) - pairs.local
+    moved = changed(pairs, positions, frame)
     return jnp.max(dot(moved, moved)) > (0.25 * surface.margin) ** 2
 
 
-def _seen_from_body(positions: Array, frame: Array) -> Array:
-    return frame.T.astype(positions.dtype) @ (positions - jnp.mean(positions, axis=1, keepdims=True))
+def changed(pairs: ContactPairs, positions: Array, frame: Array) -> Array:
+    """How far the nodes at `positions` [m] have moved, seen from the body, since `pairs` were found, (3, n[, b])."""
+    return from_middle(positions) - jnp.einsum("ij...,jn...->in...", frame.astype(positions.dtype), pairs.local)
+
+
+def from_middle(positions: Array) -> Array:
+    """`positions` (3, n[, b]) from their mean."""
+    return positions - jnp.mean(positions, axis=1, keepdims=True)
 
 
 def _first_places(found: Array, places: Array) -> tuple[Array, Array, Array]:
@@ -310,7 +322,7 @@ def node_face_weights(p: Array, a: Array, b: Array, c: Array) -> Array:
         away = p - tail - t * along
         closer = dot(away, away) < best
         best = jnp.where(closer, dot(away, away), best)
-        shares = [0.0, 0.0, 0.0]
+        shares: list[Any] = [0.0, 0.0, 0.0]
         shares[k], shares[(k + 1) % 3] = 1.0 - t, t
         on_edge = [jnp.where(closer, new, old) for new, old in zip(shares, on_edge, strict=True)]
     inside = (1.0 - at_b - at_c, at_b, at_c)
