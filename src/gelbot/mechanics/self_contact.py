@@ -203,8 +203,8 @@ def refreshed(surface: ContactSurface, pairs: ContactPairs, positions: Array, fr
 def stale(surface: ContactSurface, pairs: ContactPairs, positions: Array, frame: Array) -> Array:
     """Whether some node has moved more than margin / 4, seen from the body, since `pairs` were found; shape () or (b,).
 
-    Nothing else can touch before some node has moved margin / 2. Rigid motions change no distance: how well `frame` (3, 3[, b])
-    follows the body decides only how often to look.
+    Nothing else can touch before some node has moved margin / 2. Rigid motions change no distance: how well `frame`
+    (3, 3[, b]) follows the body decides only how often to look.
     """
     moved = changed(pairs, positions, frame)
     return jnp.max(dot(moved, moved)) > (0.25 * surface.margin) ** 2

@@ -202,7 +202,6 @@ class Programme(Table):
 class Simulation(Table):
     """How it is computed: `duration` and `time_step` [s]; residual `tolerance` of the implicit step.
 
-    With a `step_error` [m] the time step adapts: it is the longest, halved where a step would be off by more than that.
     `field_spacing` [m]: cells of the table from which the body reads the field.
     """
 
@@ -211,7 +210,6 @@ class Simulation(Table):
     tolerance: Annotated[float, Number(gt=0, lt=1)]
     max_iterations: Annotated[int, Count(ge=1)]
     precision: Literal["float64", "float32"]
-    step_error: Length | None = None
     field_spacing: Annotated[float, Dimension("m", ge=1e-4, le=5e-3)] = 1e-3
 
 
