@@ -16,7 +16,7 @@
 | no crossing | distance after the `longest_way` | at least `KEPT` of the one before |
 | what is not watched | way of a node that has moved margin / 2 | 0 |
 | a batch, single precision | last axis; 32 bits | one robot after the other; 64 bits |
-| two strips that fall on each other, 90 and 45 degrees | nodes inside tetrahedra | less than 1 % of the thickness deep |
+| two strips that fall on each other, 90 and 45 degrees | nodes inside tetrahedra | less than 1 % of the thickness deep|
 | a strip that curls until its ends meet | the same | the same |
 """
 
@@ -420,7 +420,7 @@ def deepest(body: Body, x: np.ndarray) -> float:
 
 
 def near_one_by_one(surface: ContactSurface, x: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Nodes (4, c) of all pairs of a simplex `first` (d, .) and one `second` (4 - d, .) that are near, by definition."""
+    """Nodes (4, c) of all pairs of a simplex `first` (d, .) and one `second` (4 - d, .) that are near by definition."""
     i, j = (k.ravel() for k in np.meshgrid(np.arange(first.shape[1]), np.arange(second.shape[1])))
     if first is second:
         i, j = i[i < j], j[i < j]
