@@ -136,7 +136,7 @@ def march(
 
     def one(carry: tuple[Array, Array, Preconditioner], _: None) -> tuple[tuple[Array, Array, Preconditioner], Motion]:
         x, v, near = carry
-        found, near, _ = solve_step(mech, x, v + push[:, None] * dt, rest, dt, near, frame)
+        found, near = solve_step(mech, x, v + push[:, None] * dt, rest, dt, near, frame)[:2]
         moved = (found.x - x) / dt
         return (found.x, moved, near), Motion(found.x, moved, found.residual, found.iterations)
 

@@ -2,7 +2,6 @@
 
 | quantity | one road | the other |
 |---|---|---|
-| bending modulus | `beam.bending_modulus` | a strip solved here |
 | cantilever, distributed load | the step, until it rests | w L^4 / (8 E I) |
 | cantilever, load at its tip, to 60 degrees | the same | the elastica |
 | clamped beam, ringing | marched: frequency | 1.8751^2 sqrt(E I / (rho A)) / L^2 |
@@ -16,8 +15,8 @@
 | dome, finer meshes | height of the centre | converges |
 | dome, lattice | height of the centre | of the solid |
 
-The solid's beams are in `test_solid.py`, free fall and terminal speed and the order in dt in `test_mechanics.py`, the
-symmetry D5 in `test_run.py`.
+The solid's beams are in `test_solid.py`; the bending modulus, free fall, terminal speed and the order in dt in
+`test_mechanics.py`; the symmetry D5 in `test_run.py`.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ from gelbot.mechanics.beam import bending_modulus, lattice_stiffness
 from gelbot.mechanics.implicit import Mechanics, begin_step, build_preconditioner, solve_step
 from gelbot.mechanics.medium import GRAVITY
 from gelbot.mechanics.obstacles import Boxes, Cylinders, Obstacles, Planes, Spheres, gaps, no_obstacles
-from gelbot.mechanics.springs import bending_factor, build_lattice
+from gelbot.mechanics.springs import Lattice, build_lattice
 from gelbot.points import observe
 from gelbot.scenario import load
 from gelbot.scenario.build import build
@@ -60,6 +59,7 @@ class Beam(NamedTuple):
     """A strip of lattice, clamped where x is least, without weight, far from everything."""
 
     body: Body
+    lattice: Lattice
     mech: Mechanics
     length: float
     width: float
@@ -86,50 +86,23 @@ class Beam(NamedTuple):
 
 @pytest.fixture(scope="module")
 def beam(mechanics) -> Beam:
-    length, width, h, mesh = 20 * MM, 4 * MM, 1 * MM, 1 * MM
+    # Six elements wide. A narrower strip is as much as 5 % off, depending on how the rows of its mesh lie.
+    length, width, h, mesh = 20 * MM, 6 * MM, 1 * MM, 1 * MM
     body = build_body(strip(length, width), h, mesh)
     elastic = build_lattice(body, YOUNG, bending_modulus(h, mesh, 2))
-    return Beam(body, mechanics(body, elastic=elastic, obstacles=no_obstacles()), length, width, h)
+    return Beam(body, elastic, mechanics(body, elastic=elastic, obstacles=no_obstacles()), length, width, h)
 
 
 def at_rest(beam: Beam, marched, weight: np.ndarray) -> np.ndarray:
     """Displacements [m] under `weight` [N], (3, n), once nothing moves any more."""
     start = jnp.asarray(beam.body.nodes)
-    motion = marched(beam.held(weight, 1e8), start, jnp.zeros_like(start), beam.mech.elastic.length, 1.0, STEPS)
+    motion = marched(beam.held(weight, 1e11), start, jnp.zeros_like(start), beam.lattice.length, 1.0, STEPS)
     assert float(motion.residual.max()) <= 1e-6
     assert float(jnp.abs(motion.v[-1]).max()) < 1e-9
     return np.asarray(motion.x[-1]) - beam.body.nodes
 
 
 class TestBeam:
-    @pytest.mark.parametrize(("mesh", "layers"), [(1.0, 2), (0.5, 2), (0.9, 2), (1.0, 3)])
-    def test_bending_modulus(self, mesh, layers):
-        """The same strip, its stiffness put together spring by spring, its factor within 3 % of a wider strip's."""
-        h = 1 * MM
-        found = bending_modulus(h, mesh * MM, layers)
-        length, width = 20 * h, 12 * mesh * MM
-        body = build_body(strip(length, width), h, mesh * MM, layers)
-        n = body.nodes.shape[1]
-        matrix = scipy.sparse.lil_matrix((3 * n, 3 * n))
-        for s, (i, j) in enumerate(body.springs.T):
-            u = (body.nodes[:, j] - body.nodes[:, i]) / body.spring_length[s]
-            k = body.spring_volume[s] / body.spring_length[s] ** 2 * np.outer(u, u)
-            for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
-                matrix[3 * a : 3 * a + 3, 3 * b : 3 * b + 3] += sign * k
-        assert abs(matrix.tocsr() - lattice_stiffness(body, 1.0)).max() < 1e-12 * abs(matrix).max()
-        free = np.repeat(body.nodes[0] > -length / 2.0 + 1e-9, 3)
-        load = np.zeros(3 * n)
-        load[2::3] = -body.node_volume
-        sag = np.zeros(3 * n)
-        sag[free] = scipy.sparse.linalg.spsolve(matrix.tocsc()[free][:, free], load[free])
-        tip = -sag[2::3][body.nodes[0] > length / 2.0 - 1e-9].mean()
-        wide = width * h * length**4 / (8.0 * width * h**3 / 12.0) / tip
-        print(
-            f"mesh {mesh} mm, {layers} layers: {found:.3f} of Van Gelder's lattice, a wider strip {wide:.3f}, ", end=""
-        )
-        print(f"closed form {bending_factor(layers):.3f}")
-        assert found == pytest.approx(wide, rel=0.03)
-
     def test_only_the_ratio_of_mesh_and_thickness_counts(self):
         assert bending_modulus(1 * MM, 1 * MM, 2) == pytest.approx(bending_modulus(0.5 * MM, 0.5 * MM, 2), rel=1e-9)
 
@@ -139,12 +112,12 @@ class TestBeam:
         modulus, poisson = pulled(h, mesh, layers)
         factor = bending_modulus(h, mesh, layers)
         print(f"two layers: stretches like {modulus / factor:.3f} E, Poisson's ratio {poisson:.3f}")
-        assert modulus / factor == pytest.approx(0.37, abs=0.03)
-        assert poisson == pytest.approx(0.25, abs=0.03)
+        assert modulus / factor == pytest.approx(0.396, abs=0.02)
+        assert poisson == pytest.approx(0.25, abs=0.02)
 
     def test_cantilever(self, beam, marched):
         """So light that it stays in the range of small deflections: 1 % of its length."""
-        load = 0.01 * 8.0 * beam.stiffness / beam.length**3  # w L
+        load = 0.01 * 8.0 * beam.stiffness / beam.length**2  # w L
         found = -at_rest(beam, marched, load * beam.body.node_volume / beam.body.volume)[2, beam.end].mean()
         print(f"sag over w L^4 / (8 E I): {found / (0.01 * beam.length):.4f}")
         assert found == pytest.approx(0.01 * beam.length, rel=0.02)
@@ -173,7 +146,7 @@ class TestBeam:
         assert np.degrees(slope) == pytest.approx(60.0, abs=5.0)
         assert tilt == pytest.approx(slope, rel=0.02)
         assert -tip[2] == pytest.approx(down, rel=0.02)
-        assert -tip[0] == pytest.approx(back, rel=0.04)
+        assert -tip[0] == pytest.approx(back, rel=0.02)
 
     def test_rings_at_its_first_frequency_and_damps_with_the_time_step(self, beam, marched):
         x = beam.body.nodes[0] + beam.length / 2.0
@@ -186,7 +159,7 @@ class TestBeam:
         expected = FIRST_MODE**2 * np.sqrt(beam.stiffness / (DENSITY * beam.width * beam.h)) / beam.length**2
         mech, damping = beam.held(np.zeros_like(x), 1e3), []
         for dt in (2e-3, 1e-3):
-            motion = marched(mech, jnp.asarray(start), jnp.zeros(start.shape), beam.mech.elastic.length, dt, STEPS)
+            motion = marched(mech, jnp.asarray(start), jnp.zeros(start.shape), beam.lattice.length, dt, STEPS)
             tip = np.asarray(motion.x[:, 2, beam.end].mean(axis=1)) - beam.h / 2.0
             t = dt * np.arange(1, STEPS + 1)
             fitted, _ = scipy.optimize.curve_fit(
@@ -312,8 +285,10 @@ class TestObstacles:
             assert np.diff(total).max() < 1e-6 * np.ptp(total) + 1e-6 * float(mech.weight.sum()) * 0.01 * MM
             deepest = max(deepest, -float(jax.vmap(lambda x: gaps(mech.obstacles, x)[0].min())(motion.x).min()))
             x, v = motion.x[-1], motion.v[-1]
-        print(f"{shape}: rests {-float(gaps(mech.obstacles, x)[0].min()) / sheet.thickness:.4%} deep, ", end="")
-        print(f"deepest {deepest / sheet.thickness:.4%}, fastest node {float(jnp.abs(v).max()) * 1e6:.2g} um/s")
+        print(f"{shape}: rests {float(gaps(mech.obstacles, x)[0].min()) / sheet.thickness:.2%} of h above, ", end="")
+        print(
+            f"deepest on the way {deepest / sheet.thickness:.2%}, fastest node {float(jnp.abs(v).max()) * 1e6:.2g} um/s"
+        )
         assert float(jnp.abs(v).max()) < 2e-6
         assert -float(gaps(mech.obstacles, x)[0].min()) < 0.01 * sheet.thickness
 
@@ -322,7 +297,7 @@ class TestObstacles:
         low = np.all(sheet.nodes[2, sheet.springs] < 1e-9, axis=0)
         rest = mech.elastic.length * (1.0 - 0.2 * low)
         turn, shift = Rotation.random(rng=rng).as_matrix(), rng.uniform(-0.01, 0.01, (3, 1))
-        v = 5 * MM * rng.normal(size=(3, 1)) + np.cross(rng.normal(size=3), sheet.nodes, axisb=0).T
+        v = 5 * MM * rng.normal(size=(3, 1)) + np.cross(rng.normal(size=3), sheet.nodes.T).T
         one = marched(mech, jnp.asarray(sheet.nodes), jnp.asarray(v), rest, 2e-3, self.MARCH)
         other = marched(mech, jnp.asarray(turn @ sheet.nodes + shift), jnp.asarray(turn @ v), rest, 2e-3, self.MARCH)
         moved = np.abs(np.asarray(one.x[-1]) - sheet.nodes).max()
@@ -334,13 +309,15 @@ class TestObstacles:
 
 def energy(mech: Mechanics, x: jnp.ndarray, v: jnp.ndarray) -> jnp.ndarray:
     """Kinetic, elastic, of the weight, of the surfaces [J]."""
-    ends = x[:, mech.elastic.springs]
-    stretch = jnp.linalg.norm(ends[:, 1] - ends[:, 0], axis=0) - mech.elastic.length
+    lattice = mech.elastic
+    assert isinstance(lattice, Lattice)
+    ends = x[:, lattice.springs]
+    stretch = jnp.linalg.norm(ends[:, 1] - ends[:, 0], axis=0) - lattice.length
     depth, layer = jnp.maximum(0.0, mech.contact_layer - gaps(mech.obstacles, x)[0]), mech.contact_layer
     within, beyond = depth**3 / (6.0 * layer), depth**2 / 2.0 - layer * depth / 2.0 + layer**2 / 6.0
     return (
         0.5 * jnp.sum(mech.node_mass * v**2)
-        + 0.5 * jnp.sum(mech.elastic.stiffness * stretch**2)
+        + 0.5 * jnp.sum(lattice.stiffness * stretch**2)
         + jnp.sum(mech.weight * x[2])
         + mech.contact_stiffness * jnp.sum(jnp.where(depth < layer, within, beyond))
     )
@@ -354,7 +331,7 @@ def ramped(mech: Mechanics, x: jnp.ndarray, rests: jnp.ndarray, dt: jnp.ndarray,
 
     def one(carry, rest):
         x, v, near = carry
-        found, near = solve_step(mech, x, v, rest, dt, near, frame)
+        found, near, _ = solve_step(mech, x, v, rest, dt, near, frame)
         return (found.x, (found.x - x) / dt, near), None
 
     return jax.lax.scan(one, (x, v, near), rests, length=steps)[0][0]

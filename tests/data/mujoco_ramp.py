@@ -17,7 +17,7 @@ MESH_SIZE, TIME_STEP, FLOOR_STIFFNESS = 0.9e-3, 2e-3, 10.0
 
 def main() -> None:
     sys.path[:0] = [str(ROOT / "src"), str(ROOT / "benchmarks")]
-    import peer_mujoco as peer
+    import peer_mujoco as peer  # pyright: ignore[reportMissingImports] - found by the line above
 
     plant = peer.starfish_plant(MESH_SIZE)
     options = replace(peer.CONVERGED, floor_stiffness=FLOOR_STIFFNESS)

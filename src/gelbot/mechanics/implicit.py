@@ -39,6 +39,7 @@ from gelbot.mechanics.pair_contact import (
     Touching,
     contact_forces,
     contact_room,
+    first_way,
     longest_way,
     pair_balance,
     pair_stiffness,
@@ -198,11 +199,13 @@ def solve_step(
         begin, u, longest = plain, before.x, None
         if surface is not None and pairs is not None:
             pairs = refreshed(surface, pairs, x0 + u, frame)
-            begin = plain._replace(touching=touch(surface, pairs, _pair_law(mech), x0))
-            longest = partial(longest_way, surface, begin.touching, changed(pairs, x0, frame))
+            touching = touch(surface, pairs, _pair_law(mech), x0)
+            begin = plain._replace(touching=touching)
+            shift = changed(pairs, x0, frame)
+            longest = partial(longest_way, surface, touching, shift)
             # The first guess, that all moves on, must not let the body pass through itself either.
             ahead = jnp.where(before.iterations > 0, 0.0, dt * v0)
-            u = u + longest(u, ahead) * ahead
+            u = u + first_way(surface, touching, shift, ahead) * ahead
 
         # The unknown is the displacement, which single precision holds far more finely than the positions.
         def objective(u: Array) -> tuple[Array, Array]:

@@ -16,13 +16,14 @@ Mostly there are no pairs: then nothing is computed.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from gelbot.mechanics.batch import dot
+from gelbot.mechanics.batch import dot, settled
 from gelbot.mechanics.contact import along_surface, friction_energy, friction_grip
 from gelbot.mechanics.self_contact import TINY, ContactPairs, ContactSurface, closest_weights, from_middle
 
@@ -50,13 +51,14 @@ class PairLaw(NamedTuple):
 class Touching(NamedTuple):
     """Pairs at a step's beginning: `corners` [m] (3, 4, c), seen from their first, and how they stand to each other.
 
-    `parallel` [m^4] (c",) is e |u_0|^2 |v_0|^2 of two edges; `weights` (4, c), `normal` (3, c) and force `pressed` [N]
-    (c,) are what friction goes by.
+    `parallel` [m^4] (c",) is e |u_0|^2 |v_0|^2 of two edges, `distance` [m] (c,) that of all; `weights` (4, c),
+    `normal` (3, c) and force `pressed` [N] (c,) are what friction goes by.
     """
 
     pairs: ContactPairs
     corners: Array
     parallel: Array
+    distance: Array
     weights: Array
     normal: Array
     pressed: Array
@@ -94,8 +96,8 @@ def pair_gaps(pairs: ContactPairs, corners: Array) -> PairGaps:
 def _crossing(parallel: Array, corners: Array) -> tuple[Array, Array]:
     """The factors m of pairs of edges at `corners` [m] (3, 4, c"), and their gradients [1/m] (3, 4, c")."""
     u, v = corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 2]
-    uu, uv, vv, across = dot(u, u), dot(u, v), dot(v, v), jnp.cross(u, v, axis=0)
-    z = jnp.minimum(1.0, dot(across, across) / parallel)
+    uu, uv, vv = dot(u, u), dot(u, v), dot(v, v)
+    z = jnp.clip((uu * vv - uv**2) / parallel, 0.0, 1.0)
     slope = 4.0 * (1.0 - z) / parallel
     along_u, along_v = slope * (vv * u - uv * v), slope * (uu * v - uv * u)
     return z * (2.0 - z), jnp.stack([-along_u, along_u, -along_v, along_v], axis=1)
@@ -112,10 +114,8 @@ def touch(surface: ContactSurface, pairs: ContactPairs, law: PairLaw, x0: Array)
         parallel = jnp.maximum(PARALLEL * dot(u, u) * dot(v, v), TINY)
         distance, weights, normal = pair_gaps(pairs, corners)
         pairs = pairs._replace(valid=pairs.valid & (distance > CLOSEST * surface.layer))
-        factor = _factors(pairs, parallel, corners)[0]
-        return Touching(
-            pairs, corners, parallel, weights, normal, factor * barrier(distance, law.stiffness, law.layer)[1]
-        )
+        pressed = _factors(pairs, parallel, corners)[0] * barrier(distance, law.stiffness, law.layer)[1]
+        return Touching(pairs, corners, parallel, distance, weights, normal, pressed)
 
     return _each(one, x0.ndim)(pairs, x0)
 
@@ -133,9 +133,9 @@ def pair_balance(touching: Touching, law: PairLaw, dt: Array, u: Array) -> tuple
     def one(touching: Touching, u: Array) -> tuple[Array, Array]:
         pairs, nodes = touching.pairs, _nodes(touching.pairs)
         met = pairs.node_face.shape[1]
-        moved = u[:, nodes]
+        moved = settled(u[:, nodes])
         # The displacement acts through its differences: single precision knows no distance of two positions.
-        corners = touching.corners + (moved - moved[:, :1])
+        corners = settled(touching.corners + (moved - moved[:, :1]))
         distance, weights, normal = pair_gaps(pairs, corners)
         factor, slopes = _factors(pairs, touching.parallel, corners)
         energy, push, _ = barrier(distance, law.stiffness, law.layer)
@@ -164,42 +164,55 @@ def longest_way(surface: ContactSurface, touching: Touching, shift: Array, u: Ar
     """
 
     def one(touching: Touching, u: Array, direction: Array) -> Array:
-        pairs, nodes = touching.pairs, _nodes(touching.pairs)
-        met = pairs.node_face.shape[1]
-        moved, ahead = u[:, nodes], direction[:, nodes]
-        corners = touching.corners + (moved - moved[:, :1])
-        distance, _, normal = pair_gaps(pairs, corners)
-        height = dot(normal[:, None], corners)
-        climb = dot(normal[:, None], ahead - ahead[:, :1])
-
-        def room(first: int, some: slice) -> Array:
-            apart = height[:first, None, some] - height[None, first:, some] - KEPT * distance[some]
-            closing = climb[None, first:, some] - climb[:first, None, some]
-            length = jnp.where(closing > 0.0, jnp.maximum(apart, 0.0) / jnp.where(closing > 0.0, closing, 1.0), 1.0)
-            return jnp.min(jnp.where(pairs.valid[some], length, 1.0), initial=1.0)
-
-        return jnp.minimum(room(1, slice(met)), room(2, slice(met, None)))
-
-    def unwatched(shift: Array, u: Array, direction: Array) -> Array:
-        moved, ahead = shift + from_middle(u), from_middle(direction)
-        speed, gain = dot(ahead, ahead) + TINY, dot(moved, ahead)
-        left = jnp.maximum(0.0, (0.5 * surface.margin) ** 2 - dot(moved, moved))
-        length = jnp.min((jnp.sqrt(gain**2 + speed * left) - gain) / speed)
-        return jnp.where(length < LEAST, 0.0, jnp.minimum(length, 1.0))
+        moved = settled(u[:, _nodes(touching.pairs)])
+        corners = settled(touching.corners + (moved - moved[:, :1]))
+        distance, _, normal = pair_gaps(touching.pairs, corners)
+        return _room(touching.pairs, corners, distance, normal, direction)
 
     between = jax.lax.cond(
         jnp.any(touching.pairs.found > 0),
         lambda: _each(one, u.ndim)(touching, u, direction),
         lambda: jnp.ones(u.shape[2:], u.dtype),
     )
-    return jnp.minimum(between, _each(unwatched, u.ndim)(shift, u, direction))
+    return jnp.minimum(between, _unwatched(surface, shift + from_middle(u), direction))
+
+
+def first_way(surface: ContactSurface, touching: Touching, shift: Array, direction: Array) -> Array:
+    """The `longest_way` at the step's beginning, where all distances are known."""
+
+    def one(touching: Touching, direction: Array) -> Array:
+        return _room(touching.pairs, touching.corners, touching.distance, touching.normal, direction)
+
+    return jnp.minimum(_each(one, direction.ndim)(touching, direction), _unwatched(surface, shift, direction))
+
+
+def _room(pairs: ContactPairs, corners: Array, distance: Array, normal: Array, direction: Array) -> Array:
+    ahead, met = settled(direction[:, _nodes(pairs)]), pairs.node_face.shape[1]
+    height, climb = dot(normal[:, None], corners), dot(normal[:, None], ahead - ahead[:, :1])
+
+    def room(first: int, some: slice) -> Array:
+        apart = height[:first, None, some] - height[None, first:, some] - KEPT * distance[some]
+        closing = climb[None, first:, some] - climb[:first, None, some]
+        length = jnp.where(closing > 0.0, jnp.maximum(apart, 0.0) / jnp.where(closing > 0.0, closing, 1.0), 1.0)
+        return jnp.min(jnp.where(pairs.valid[some], length, 1.0), initial=1.0)
+
+    return jnp.minimum(room(1, slice(met)), room(2, slice(met, None)))
+
+
+def _unwatched(surface: ContactSurface, moved: Array, direction: Array) -> Array:
+    """How far nodes that have `moved` [m] since pairs were looked for may go before others can touch, () or (b,)."""
+    ahead = from_middle(direction)
+    speed, gain = dot(ahead, ahead) + TINY, dot(moved, ahead)
+    left = jnp.maximum(0.0, (0.5 * surface.margin) ** 2 - dot(moved, moved))
+    length = jnp.min((jnp.sqrt(gain**2 + speed * left) - gain) / speed, axis=0)
+    return jnp.where(length < LEAST, 0.0, jnp.minimum(length, 1.0))
 
 
 def contact_room(surface: ContactSurface | None) -> int:
     """How many contacts a `PairStiffness` of this surface holds."""
     if surface is None:
         return 0
-    return min(FIRMEST, surface.node_face_places[2].shape[0] + surface.edge_edge_places[2].shape[0])
+    return min(FIRMEST, surface.node_face_places[1].shape[0] + surface.edge_edge_places[1].shape[0])
 
 
 class PairStiffness(NamedTuple):
@@ -228,7 +241,7 @@ def pair_stiffness(touching: Touching, law: PairLaw, dt: Array, u: Array) -> Pai
     _, firmest = jax.lax.top_k(stiff + grip, min(FIRMEST, stiff.shape[0]))
     stiff, grip, weights, normal = (part[..., firmest] for part in (stiff, grip, weights, normal))
     across = _across(normal)
-    third = jnp.cross(normal, across, axis=0)
+    third = jnp.stack([normal[k - 2] * across[k - 1] - normal[k - 1] * across[k - 2] for k in range(3)])
     return PairStiffness(nodes[:, firmest], weights, jnp.stack([normal, across, third]), jnp.stack([stiff, grip, grip]))
 
 
@@ -253,6 +266,6 @@ def _nodes(pairs: ContactPairs) -> Array:
     return jnp.concatenate([pairs.node_face, pairs.edge_edge], axis=1)
 
 
-def _each(one, dims: int):
+def _each(one: Callable[..., Any], dims: int) -> Callable[..., Any]:
     """`one` for a single robot, whose nodes have two dimensions, or for each of a batch along the last axis."""
     return one if dims == 2 else jax.vmap(one, -1, -1)

@@ -73,24 +73,21 @@ def minimise(
     `x` has two dimensions, or three for a batch; then energies, norms and iterations are (b,). A non-finite gradient
     ends the iteration: the residual says so.
     """
-    energy, g = objective(x)
-    empty = jnp.zeros((MEMORY, *x.shape), x.dtype)
-    norm = jnp.sqrt(_product(g, g))
-    direction = -precondition(g)
-    length = jnp.ones_like(norm) if longest is None else longest(x, direction)
+    # The first way has no length: it only finds out where the iteration is, so that all of this is compiled once.
+    empty, far = jnp.zeros((MEMORY, *x.shape), x.dtype), jnp.full(x.shape[2:], jnp.inf, x.dtype)
     first = _Iterate(
         x=x,
-        energy=energy,
-        gradient=g,
-        norm=norm,
-        direction=direction,
-        length=length,
-        shortest=SHORTEST * length,
+        energy=far,
+        gradient=jnp.zeros_like(x),
+        norm=far,
+        direction=jnp.zeros_like(x),
+        length=jnp.ones_like(far),
+        shortest=jnp.ones_like(far),
         steps=empty,
         changes=empty,
-        inverse_products=jnp.zeros((MEMORY, *norm.shape), x.dtype),
-        iterations=jnp.ones(norm.shape, int),
-        tried=jnp.asarray(1),
+        inverse_products=jnp.zeros((MEMORY, *far.shape), x.dtype),
+        iterations=jnp.zeros(far.shape, int),
+        tried=jnp.asarray(0),
         newest=jnp.asarray(0),
     )
 

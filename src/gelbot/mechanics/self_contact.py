@@ -23,45 +23,42 @@ import numpy as np
 from jax import Array
 from numpy.typing import NDArray
 
-from gelbot.mechanics.batch import dot
+from gelbot.mechanics.batch import dot, settled
 
-PATCH = 8
-"""Faces, nodes or edges in a patch."""
 EXCLUSION = 1.0
 """Parts whose middles are closer at rest than this, times thickness + mesh size, are neighbours."""
+BLOCK = 64
+"""Numbers that are summed up at once."""
+FLAT = 1e-6
+"""Squared sine of an angle that counts as zero: single precision cannot tell."""
 TINY = 1e-30
 """Keeps what is divided by a squared length [m^2] finite."""
 
 
 class ContactSurface(NamedTuple):
-    """Constants of a closed triangulated surface; index letters n nodes, f faces, e edges, c candidates.
+    """Constants of a closed triangulated surface; index letters m surface nodes, f faces, e edges.
 
-    `rest` [m] (3, n); `faces` (3, f), `edges` (2, e). Patches (PATCH, p), padded with -1, of surface nodes, faces and
-    edges; `node_face_patches`, `edge_edge_patches`: patches that may meet, (p, p). Lengths [m]: parts nearer than
-    `exclusion` at rest are neighbours; contact begins at a distance of `layer`; candidates are looked for `margin`
-    farther. Places for patch pairs, near pairs and candidates, `*_places`, are 0, 1, 2, ...: their lengths are the
+    `nodes` (1, m), `faces` (3, f), `edges` (2, e); `node_face` (m, f), `edge_edge` (e, e): which of them are no
+    neighbours at rest, each pair once. Contact begins at a distance of `layer` [m]; candidates are looked for `margin`
+    [m] farther. Places for near pairs and for candidates, `*_places`, are 0, 1, 2, ...: their lengths are the
     capacities.
     """
 
-    rest: Array
+    nodes: Array
     faces: Array
     edges: Array
-    node_patches: Array
-    face_patches: Array
-    edge_patches: Array
-    node_face_patches: Array
-    edge_edge_patches: Array
-    exclusion: Array
+    node_face: Array
+    edge_edge: Array
     layer: Array
     margin: Array
-    node_face_places: tuple[Array, Array, Array]
-    edge_edge_places: tuple[Array, Array, Array]
+    node_face_places: tuple[Array, Array]
+    edge_edge_places: tuple[Array, Array]
 
 
 class ContactPairs(NamedTuple):
     """Candidates: `node_face` (4, c'), a node and the corners of a face; `edge_edge` (4, c"), the ends of two edges.
 
-    `valid` (c' + c",): which places are taken; `found` of them are, `missed` more (or pairs of patches) got no place.
+    `valid` (c' + c",): which places are taken; `found` of them are, `missed` more got no place.
     `local` [m] (3, n): where the nodes were, seen from the body.
     """
 
@@ -80,37 +77,26 @@ def contact_surface(
     mesh_size: float,
     layer: float,
     margin: float,
-    contacts_per_node: float = 1.5,
+    contacts_per_node: float = 2.0,
 ) -> ContactSurface:
     """Prepare a closed surface of `faces` (3, f) at `rest` [m] (3, n).
 
     There is room for `contacts_per_node` candidates for each surface node and for each edge.
     """
     exclusion = EXCLUSION * (thickness + mesh_size)
-    surface_nodes, edges = np.unique(faces), _edges(faces)
-    node_patches, node_balls = _patches(rest[:, surface_nodes], np.zeros(len(surface_nodes)))
-    face_patches, face_balls = _patches(*_rest_balls(rest[:, faces]))
-    edge_patches, edge_balls = _patches(*_rest_balls(rest[:, edges]))
-    node_room, edge_room = (int(np.ceil(contacts_per_node * m)) for m in (len(surface_nodes), edges.shape[1]))
+    nodes, edges = np.unique(faces)[None], _edges(faces)
+    node_room, edge_room = (int(np.ceil(contacts_per_node * m)) for m in (nodes.shape[1], edges.shape[1]))
     return ContactSurface(
-        rest=jnp.asarray(rest),
+        nodes=jnp.asarray(nodes),
         faces=jnp.asarray(faces),
         edges=jnp.asarray(edges),
-        node_patches=jnp.asarray(np.where(node_patches < 0, -1, surface_nodes[node_patches])),
-        face_patches=jnp.asarray(face_patches),
-        edge_patches=jnp.asarray(edge_patches),
-        node_face_patches=jnp.asarray(_may_meet(node_balls, face_balls, exclusion)),
-        edge_edge_patches=jnp.asarray(np.triu(_may_meet(edge_balls, edge_balls, exclusion))),
-        exclusion=jnp.asarray(exclusion),
+        node_face=jnp.asarray(_apart(rest, nodes, faces, exclusion)),
+        edge_edge=jnp.asarray(np.triu(_apart(rest, edges, edges, exclusion))),
         layer=jnp.asarray(layer),
         margin=jnp.asarray(margin),
-        node_face_places=_places(node_room, node_patches.shape[1], face_patches.shape[1]),
-        edge_edge_places=_places(edge_room, edge_patches.shape[1], edge_patches.shape[1]),
+        node_face_places=(jnp.arange(8 * node_room), jnp.arange(node_room)),
+        edge_edge_places=(jnp.arange(8 * edge_room), jnp.arange(edge_room)),
     )
-
-
-def _places(room: int, first: int, second: int) -> tuple[Array, Array, Array]:
-    return jnp.arange(min(first * second, 32 * max(first, second))), jnp.arange(8 * room), jnp.arange(room)
 
 
 def _edges(faces: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -122,42 +108,13 @@ def _edges(faces: NDArray[np.int64]) -> NDArray[np.int64]:
     return edges
 
 
-def _rest_balls(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    centre = corners.mean(axis=1)
-    return centre, np.linalg.norm(corners - centre[:, None], axis=0).max(axis=0, initial=0.0)
-
-
-def _patches(
-    points: NDArray[np.float64], radii: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Cut `points` (3, m) in halves across their longest extent: patches (PATCH, p), and balls around their points."""
-    parts = [np.arange(points.shape[1])]
-    while max(len(part) for part in parts) > PATCH:
-        halves = []
-        for part in parts:
-            if len(part) <= PATCH:
-                halves.append(part)
-                continue
-            widest = int(np.argmax(np.ptp(points[:, part], axis=1)))
-            middle = PATCH * ((-(-len(part) // PATCH) + 1) // 2)  # all patches but the last are full
-            order = part[np.argsort(points[widest, part], kind="stable")]
-            halves += [order[:middle], order[middle:]]
-        parts = halves
-    table = np.full((PATCH, len(parts)), -1)
-    for p, part in enumerate(parts):
-        table[: len(part), p] = part
-    filled = np.where(table < 0, table[:1], table)
-    centre = points[:, filled].mean(axis=1)
-    return table, (centre, np.linalg.norm(points[:, filled] - centre[:, None], axis=0).max(axis=0, initial=0.0))
-
-
-def _may_meet(
-    first: tuple[NDArray[np.float64], NDArray[np.float64]],
-    second: tuple[NDArray[np.float64], NDArray[np.float64]],
-    exclusion: float,
+def _apart(
+    rest: NDArray[np.float64], first: NDArray[np.int64], second: NDArray[np.int64], exclusion: float
 ) -> NDArray[np.bool_]:
-    square = sum(np.subtract.outer(first[0][k], second[0][k]) ** 2 for k in range(3))
-    return np.sqrt(square) + np.add.outer(first[1], second[1]) >= exclusion
+    """Whether the middles of simplices (d, .) at `rest` [m] are at least `exclusion` [m] apart, (., .)."""
+    one, other = (rest[:, simplices].mean(axis=1) for simplices in (first, second))
+    x, y, z = (np.subtract.outer(one[k], other[k]) for k in range(3))
+    return x**2 + y**2 + z**2 >= exclusion**2
 
 
 def _each_robot(one: Callable[..., Any]) -> Callable[..., Any]:
@@ -179,15 +136,12 @@ def find_pairs(surface: ContactSurface, positions: Array, frame: Array) -> Conta
 
     `positions` [m] (3, n[, b]); `frame` (3, 3[, b]) turns with the body, its columns are the body's axes.
     """
-    everywhere = jnp.arange(positions.shape[1])[None]
     node_face, met, missed = _near(
-        surface, positions, everywhere, surface.faces,
-        surface.node_patches, surface.face_patches, surface.node_face_patches, surface.node_face_places,
-    )  # fmt: skip
+        surface, positions, surface.nodes, surface.faces, surface.node_face, surface.node_face_places
+    )
     edge_edge, crossed, missed_edges = _near(
-        surface, positions, surface.edges, surface.edges,
-        surface.edge_patches, surface.edge_patches, surface.edge_edge_patches, surface.edge_edge_places,
-    )  # fmt: skip
+        surface, positions, surface.edges, surface.edges, surface.edge_edge, surface.edge_edge_places
+    )
     valid = jnp.concatenate([met, crossed])
     local = frame.T.astype(positions.dtype) @ from_middle(positions)
     return ContactPairs(node_face, edge_edge, valid, jnp.sum(valid), missed + missed_edges, local)
@@ -220,13 +174,45 @@ def from_middle(positions: Array) -> Array:
     return positions - jnp.mean(positions, axis=1, keepdims=True)
 
 
+def _near(
+    surface: ContactSurface,
+    positions: Array,
+    first: Array,
+    second: Array,
+    apart: Array,
+    places: tuple[Array, Array],
+) -> tuple[Array, Array, Array]:
+    """Pairs of simplices `first` (d, .) and `second` (4 - d, .) nearer than layer + margin, of those that are `apart`.
+
+    Nodes of both (4, c), which of them are real (c,), and how many got no place.
+    """
+    reach = surface.layer + surface.margin
+    (centre_1, radius_1), (centre_2, radius_2) = _balls(positions, first), _balls(positions, second)
+    between = centre_1[:, :, None] - centre_2[:, None]
+    near = settled(apart & (dot(between, between) < (radius_1[:, None] + (radius_2 + reach)) ** 2))
+    place, taken, lost = _first_places(near, places[0])
+    nodes = jnp.concatenate([first[:, place // apart.shape[1]], second[:, place % apart.shape[1]]])
+    corners = settled(positions[:, nodes])
+    away = jnp.sum(closest_weights(corners, first.shape[0]) * corners, axis=1)
+    place, found, missed = _first_places(taken & (dot(away, away) < reach**2), places[1])
+    return nodes[:, place], found, lost + missed
+
+
+def _balls(positions: Array, simplices: Array) -> tuple[Array, Array]:
+    """Centres (3, .) and radii [m] (.,) of balls around `simplices` (d, .)."""
+    corners = positions[:, simplices]
+    centre = jnp.mean(corners, axis=1)
+    out = corners - centre[:, None]
+    return centre, jnp.sqrt(jnp.max(dot(out, out), axis=0))
+
+
 def _first_places(found: Array, places: Array) -> tuple[Array, Array, Array]:
     """Indices of the first true entries of `found`, one for each place; which places are taken; how many got none."""
     # Running sums are slow: they are taken over words of 32 bits, and the bits in a word found by halving it.
     size = found.size
-    bits = jnp.pad(found.ravel(), (0, -size % 32)).reshape(-1, 32)
+    bits = jnp.pad(found.ravel(), (0, -size % (32 * BLOCK))).reshape(-1, 32)
     words = jnp.sum(jnp.where(bits, jnp.uint32(1) << jnp.arange(32, dtype=jnp.uint32), 0), axis=1, dtype=jnp.uint32)
-    running = jnp.cumsum(jax.lax.population_count(words).astype(jnp.int32))
+    running = _running_sum(jax.lax.population_count(words))
     order = places.astype(jnp.int32)
     word = jnp.minimum(jnp.searchsorted(running, order + 1), words.shape[0] - 1)
     rest, before = words[word], order - jnp.where(word > 0, running[word - 1], 0)
@@ -239,65 +225,12 @@ def _first_places(found: Array, places: Array) -> tuple[Array, Array, Array]:
     return jnp.minimum(index, size - 1), order < running[-1], jnp.maximum(0, running[-1] - order.shape[0])
 
 
-def _near(
-    surface: ContactSurface,
-    positions: Array,
-    first: Array,
-    second: Array,
-    first_patches: Array,
-    second_patches: Array,
-    may_meet: Array,
-    places: tuple[Array, Array, Array],
-) -> tuple[Array, Array, Array]:
-    """Pairs of simplices `first` (d, .) and `second` (4 - d, .) nearer than layer + margin that are no neighbours.
-
-    Nodes of both (4, c), which of them are real (c,), and how many got no place.
-    """
-    reach = surface.layer + surface.margin
-    centre_1, radius_1 = _balls(positions, first)
-    centre_2, radius_2 = _balls(positions, second)
-    ball_1 = _patch_balls(centre_1, radius_1, first_patches)
-    ball_2 = _patch_balls(centre_2, radius_2, second_patches)
-    close = may_meet & (
-        _squares(ball_1[0][:, :, None], ball_2[0][:, None]) < (ball_1[1][:, None] + ball_2[1] + reach) ** 2
-    )
-    index, taken, lost = _first_places(close, places[0])
-    i, j = first_patches[:, index // may_meet.shape[1]], second_patches[:, index % may_meet.shape[1]]
-    rest_1, rest_2 = _balls(surface.rest, first)[0], _balls(surface.rest, second)[0]
-    # Gathered once, before all pairs of a patch pair are formed: fused, each pair would gather its own.
-    one, other = jax.lax.optimization_barrier(
-        (
-            (centre_1[:, i], rest_1[:, i], jnp.where(taken & (i >= 0), radius_1[i] + reach, -jnp.inf)),
-            (centre_2[:, j], rest_2[:, j], jnp.where(taken & (j >= 0), radius_2[j], -jnp.inf)),
-        )
-    )
-    within = jnp.maximum(one[2][:, None] + other[2], 0.0)
-    near = _squares(one[0][:, :, None], other[0][:, None]) < within**2
-    near = near & (_squares(one[1][:, :, None], other[1][:, None]) >= surface.exclusion**2)
-    if first is second:
-        near = near & ((index // may_meet.shape[1] != index % may_meet.shape[1]) | (i[:, None] < j[None]))
-    place, taken, crowded = _first_places(near, places[1])
-    one, other = (jnp.broadcast_to(k, near.shape).ravel()[place] for k in (i[:, None], j[None]))
-    nodes = jnp.concatenate([first[:, one], second[:, other]])
-    away = jnp.sum(closest_weights(positions[:, nodes], first.shape[0]) * positions[:, nodes], axis=1)
-    place, found, missed = _first_places(taken & (dot(away, away) < reach**2), places[2])
-    return nodes[:, place], found, lost + crowded + missed
-
-
-def _balls(positions: Array, simplices: Array) -> tuple[Array, Array]:
-    corners = positions[:, simplices]
-    centre = jnp.mean(corners, axis=1)
-    return centre, jnp.sqrt(jnp.max(_squares(corners, centre[:, None]), axis=0))
-
-
-def _patch_balls(centre: Array, radius: Array, patches: Array) -> tuple[Array, Array]:
-    members = jnp.where(patches < 0, patches[:1], patches)
-    middle = jnp.mean(centre[:, members], axis=1)
-    return middle, jnp.max(jnp.sqrt(_squares(centre[:, members], middle[:, None])) + radius[members], axis=0)
-
-
-def _squares(a: Array, b: Array) -> Array:
-    return (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2
+def _running_sum(counts: Array) -> Array:
+    """Sums (w,) of `counts` up to each, w a multiple of BLOCK: matrix products compile and run faster than a scan."""
+    blocks = counts.reshape(-1, BLOCK).astype(jnp.float32)  # exact up to 2^24
+    within = blocks @ jnp.triu(jnp.ones((BLOCK, BLOCK), jnp.float32))
+    before = jnp.tril(jnp.ones((len(blocks), len(blocks)), jnp.float32), -1) @ within[:, -1]
+    return (within + before[:, None]).ravel().astype(jnp.int32)
 
 
 def closest_weights(corners: Array, first: int) -> Array:
@@ -309,33 +242,28 @@ def closest_weights(corners: Array, first: int) -> Array:
 def node_face_weights(p: Array, a: Array, b: Array, c: Array) -> Array:
     """Weights (4, c) that take p and the corners of a triangle, (3, c) each, to the way from its closest point to p."""
     ab, ac, ap = b - a, c - a, p - a
-    across = jnp.cross(ab, ac, axis=0)
-    square = dot(across, across)
-    divisor = jnp.where(square > 0.0, square, 1.0)
-    at_b, at_c = (dot(jnp.cross(*sides, axis=0), across) / divisor for sides in ((ap, ac), (ab, ap)))
-    over = (square > 0.0) & (at_b >= 0.0) & (at_c >= 0.0) & (at_b + at_c <= 1.0)
-    # Beside the triangle the closest of the points of its edges.
-    best, corners, on_edge = jnp.inf, (a, b, c), [jnp.zeros_like(square)] * 3
-    for k in range(3):
-        tail, along = corners[k], corners[(k + 1) % 3] - corners[k]
-        t = jnp.clip(dot(p - tail, along) / jnp.maximum(dot(along, along), TINY), 0.0, 1.0)
-        away = p - tail - t * along
-        closer = dot(away, away) < best
-        best = jnp.where(closer, dot(away, away), best)
-        shares: list[Any] = [0.0, 0.0, 0.0]
-        shares[k], shares[(k + 1) % 3] = 1.0 - t, t
-        on_edge = [jnp.where(closer, new, old) for new, old in zip(shares, on_edge, strict=True)]
-    inside = (1.0 - at_b - at_c, at_b, at_c)
-    shares = [jnp.where(over, new, old) for new, old in zip(inside, on_edge, strict=True)]
-    return jnp.stack([jnp.ones_like(square), *(-share for share in shares)])
+    bb, bc, cc, pb, pc = dot(ab, ab), dot(ab, ac), dot(ac, ac), dot(ap, ab), dot(ap, ac)
+    square = bb * cc - bc**2
+    flat = square <= FLAT * bb * cc
+    divisor = jnp.where(flat, 1.0, square)
+    at_b, at_c = (cc * pb - bc * pc) / divisor, (bb * pc - bc * pb) / divisor
+    inside = jnp.stack([1.0 - at_b - at_c, at_b, at_c])
+    # Beside the triangle the closest of the closest points of its edges.
+    tails = jnp.stack([a, b, c], axis=1)
+    along, to_p = jnp.roll(tails, -1, axis=1) - tails, p[:, None] - tails
+    t = jnp.clip(dot(to_p, along) / jnp.maximum(dot(along, along), TINY), 0.0, 1.0)
+    away = to_p - t * along
+    closest = jnp.arange(3)[:, None] == jnp.argmin(dot(away, away), axis=0)
+    on_edge = jnp.where(closest, 1.0 - t, 0.0) + jnp.roll(jnp.where(closest, t, 0.0), 1, axis=0)
+    over = ~flat & jnp.all(inside >= 0.0, axis=0)
+    return jnp.concatenate([jnp.ones_like(t[:1]), -jnp.where(over, inside, on_edge)])
 
 
 def edge_edge_weights(a: Array, b: Array, c: Array, d: Array) -> Array:
     """The same for the segments ab and cd (Ericson, Real-Time Collision Detection, 5.1.9)."""
     u, v, w = b - a, d - c, a - c
     uu, uv, vv, uw, vw = dot(u, u), dot(u, v), dot(v, v), dot(u, w), dot(v, w)
-    across = jnp.cross(u, v, axis=0)
-    square = jnp.maximum(dot(across, across), 1e-9 * uu * vv + TINY)
+    square = jnp.maximum(uu * vv - uv**2, FLAT * uu * vv + TINY)
     s = jnp.clip((uv * vw - vv * uw) / square, 0.0, 1.0)
     t = jnp.clip((uv * s + vw) / jnp.maximum(vv, TINY), 0.0, 1.0)
     s = jnp.clip((uv * t - uw) / jnp.maximum(uu, TINY), 0.0, 1.0)
