@@ -37,7 +37,7 @@ def test_central_differences():
         c, s = jnp.cos(p["heading"]), jnp.sin(p["heading"])
         x, y = start[:2] - place[:, None]
         posed = jnp.stack([c * x - s * y + place[0], s * x + c * y + place[1], jnp.asarray(start[2])])
-        end = trajectory(changed, posed, p["voltages"], dt, 2)[-1]
+        end = jnp.asarray(trajectory(changed, posed, p["voltages"], dt, 2))[-1]
         tip = end @ model.points.tips[0]
         return 1e3 * ((end @ model.points.centre)[2] + 0.3 * tip[0] - 0.2 * tip[1] + 0.1 * tip[2])
 
