@@ -5,8 +5,8 @@ recursion (Nocedal and Wright, Algorithm 7.4) learn what has changed since, cont
 lowers the energy (Armijo) and does not overshoot; else it is shortened to where the slopes at its ends, or the parabola
 through its energies, put the minimum.
 
-A batch of robots, (3, n, b), is iterated until the last of them has converged; those that have keep still meanwhile, so
-that what a robot does does not depend on its companions.
+A batch of robots, (3, n, b), is iterated until the last of them has converged; those that have keep still meanwhile.
+What a robot does depends on its companions within its tolerance only: the pairs of all are stored in step.
 """
 
 from __future__ import annotations
