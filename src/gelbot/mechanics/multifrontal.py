@@ -15,6 +15,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
+from gelbot.mechanics.batch import taken
 from gelbot.mechanics.block_inverse import block_inverse
 from gelbot.mechanics.dissection import Dissection
 
@@ -52,9 +53,9 @@ def factorise(dissection: Dissection, diagonal: Array, pairs: Array, dtype: jnp.
 
 def _front_blocks(found: Array, table: Array) -> Array:
     """Matrices (B, 3 r, 3 c) whose 3 x 3 blocks are sums of `found` (m, 9) at the places `table` (B, r, c, k)."""
-    blocks = found[table[..., 0]]
+    blocks = taken(found, table[..., 0])
     for k in range(1, table.shape[-1]):
-        blocks = blocks + found[table[..., k]]
+        blocks = blocks + taken(found, table[..., k])
     fronts, rows, columns = table.shape[:3]
     return blocks.reshape(fronts, rows, columns, 3, 3).transpose(0, 1, 3, 2, 4).reshape(fronts, 3 * rows, 3 * columns)
 
@@ -66,12 +67,12 @@ def solve(dissection: Dissection, factor: Factor, forces: Array) -> Array:
     eliminated = []
     for level, transfer in zip(dissection.levels, factor.transfers, strict=True):
         fronts, s = level.pivots.shape
-        y, border = padded[level.pivots], None
+        y, border = taken(padded, level.pivots), None
         if level.inputs.shape[-1]:
             below = jnp.concatenate(carried)
-            added = below[level.inputs[..., 0]]
+            added = taken(below, level.inputs[..., 0])
             for k in range(1, level.inputs.shape[-1]):
-                added = added + below[level.inputs[..., k]]
+                added = added + taken(below, level.inputs[..., k])
             y, border = y + added[:, :s], added[:, s:]
         y = y.reshape(fronts, -1)
         eliminated.append(y)
@@ -84,7 +85,7 @@ def solve(dissection: Dissection, factor: Factor, forces: Array) -> Array:
     ):
         x = jnp.einsum("bsr,br->bs", inverse, y)
         if transfer.shape[1]:
-            outside = known[level.outputs].reshape(level.outputs.shape[0], -1)
+            outside = taken(known, level.outputs).reshape(level.outputs.shape[0], -1)
             x = x - jnp.einsum("bts,bt->bs", transfer, outside)
         known = jnp.concatenate([known, x.reshape(-1, 3)])
-    return known[dissection.order]
+    return taken(known, dissection.order)

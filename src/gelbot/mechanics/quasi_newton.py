@@ -51,6 +51,7 @@ class _Iterate(NamedTuple):
     direction: Array
     length: Array
     shortest: Array  # length that is not shortened further
+    rejected: Array  # whether the way of this length was too long
     steps: Array  # (MEMORY, ...) differences of x
     changes: Array  # (MEMORY, ...) differences of the gradient
     inverse_products: Array  # (MEMORY,) 1 / (s . y), zero for an empty place
@@ -73,7 +74,7 @@ def minimise(
     `x` has two dimensions, or three for a batch; then energies, norms and iterations are (b,). A non-finite gradient
     ends the iteration: the residual says so.
     """
-    # The first way has no length: it only finds out where the iteration is, so that all of this is compiled once.
+    # The first gradient is taken for zero: no way leads from there, and all that happens is that the true one is found.
     empty, far = jnp.zeros((MEMORY, *x.shape), x.dtype), jnp.full(x.shape[2:], jnp.inf, x.dtype)
     first = _Iterate(
         x=x,
@@ -83,6 +84,7 @@ def minimise(
         direction=jnp.zeros_like(x),
         length=jnp.ones_like(far),
         shortest=jnp.ones_like(far),
+        rejected=jnp.zeros(far.shape, bool),
         steps=empty,
         changes=empty,
         inverse_products=jnp.zeros((MEMORY, *far.shape), x.dtype),
@@ -111,14 +113,20 @@ def _advance(
     longest: Longest | None = None,
 ) -> _Iterate:
     running = it.norm > tolerance
-    s = it.length * it.direction
+    # A new direction only now: who has converged needs none.
+    found = -_two_loops(it.gradient, it.steps, it.changes, it.inverse_products, it.newest, precondition)
+    direction = jnp.where(it.rejected, it.direction, found)
+    whole = jnp.ones_like(it.length) if longest is None else longest(it.x, direction)
+    length = jnp.where(it.rejected, it.length, whole)
+    shortest = jnp.where(it.rejected, it.shortest, SHORTEST * whole)
+    s = length * direction
     x = it.x + s
     energy, g = objective(x)
-    slope_before, slope_after = _product(it.gradient, it.direction), _product(g, it.direction)
+    slope_before, slope_after = _product(it.gradient, direction), _product(g, direction)
     rounding = 10.0 * jnp.finfo(x.dtype).eps * jnp.abs(it.energy)
-    uphill = ~(energy <= it.energy + SUFFICIENT_DECREASE * it.length * slope_before + rounding)
+    uphill = ~(energy <= it.energy + SUFFICIENT_DECREASE * length * slope_before + rounding)
     overshoot = slope_after > -LONGEST_OVERSHOOT * slope_before
-    too_long = (uphill | overshoot) & (it.length > it.shortest)
+    too_long = (uphill | overshoot) & (length > shortest)
     taken = running & ~too_long
 
     y = g - it.gradient
@@ -137,22 +145,20 @@ def _advance(
     )
 
     # Where the slope vanishes by the secant, or where the parabola through both energies has its bottom.
-    promised = it.length * slope_before
+    promised = length * slope_before
     by_slope = slope_before / (slope_before - slope_after)
     by_energy = -0.5 * promised / (energy - it.energy - promised)
     share = jnp.where(overshoot, by_slope, by_energy)
-    shorter = it.length * jnp.clip(jnp.where(jnp.isfinite(share), share, 0.1), 0.1, 0.8)
-    x = jnp.where(taken, x, it.x)
-    direction = jnp.where(too_long, it.direction, -_two_loops(g, steps, changes, inverses, place, precondition))
-    length = jnp.ones_like(it.length) if longest is None else longest(x, direction)
+    shorter = length * jnp.clip(jnp.where(jnp.isfinite(share), share, 0.1), 0.1, 0.8)
     return _Iterate(
-        x=x,
+        x=jnp.where(taken, x, it.x),
         energy=jnp.where(taken, energy, it.energy),
         gradient=jnp.where(taken, g, it.gradient),
         norm=jnp.where(taken, jnp.sqrt(_product(g, g)), it.norm),
         direction=direction,
         length=jnp.where(too_long, shorter, length),
-        shortest=jnp.where(too_long, it.shortest, SHORTEST * length),
+        shortest=shortest,
+        rejected=too_long,
         steps=steps,
         changes=changes,
         inverse_products=inverses,

@@ -10,7 +10,7 @@ from jax import Array
 from numpy.typing import NDArray
 
 from gelbot.body.lattice import Body
-from gelbot.mechanics.batch import dot, settled, wide
+from gelbot.mechanics.batch import dot, settled, taken, wide
 
 
 class Lattice(NamedTuple):
@@ -95,7 +95,7 @@ def spring_balance(lattice: Lattice, before: Springs, displacement: Array) -> tu
     only: a spring would feel that as a tenth of a node's weight.
     """
     k = wide(lattice.stiffness, before.length, 1)
-    first, second = settled(displacement[:, lattice.springs[0]]), settled(displacement[:, lattice.springs[1]])
+    first, second = (settled(taken(displacement, lattice.springs[end], 1)) for end in (0, 1))
     change = second - first
     along = before.along + change
     squared = dot(along, along)
@@ -106,7 +106,7 @@ def spring_balance(lattice: Lattice, before: Springs, displacement: Array) -> tu
     tension = settled((k * stretch * inverse) * along)
     # A node sums the springs that end at it: a gather, which is far cheaper than a scatter.
     both_ends = settled(jnp.concatenate([tension, -tension, jnp.zeros_like(tension[:, :1])], axis=1))
-    return 0.5 * jnp.sum(k * stretch**2, axis=0), jnp.sum(settled(both_ends[:, lattice.incidence]), axis=1)
+    return 0.5 * jnp.sum(k * stretch**2, axis=0), jnp.sum(settled(taken(both_ends, lattice.incidence, 1)), axis=1)
 
 
 def spring_blocks(lattice: Lattice, x: Array, rest: Array) -> tuple[Array, Array]:
