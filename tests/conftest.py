@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
 from gelbot.engine import prepare_engine
+
+# Tests leave nothing in the user's cache.
+os.environ["JAX_COMPILATION_CACHE_DIR"] = ""
 
 prepare_engine()  # before anything is computed
 

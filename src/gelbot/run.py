@@ -17,7 +17,7 @@ from rich.console import Console
 
 from gelbot import __version__
 from gelbot.control.programme import Playing, begin, play
-from gelbot.engine import prepare_engine
+from gelbot.engine import keep_compiled, prepare_engine
 from gelbot.errors import BadInput, SimulationFailed
 from gelbot.field.lead_field import working_volume
 from gelbot.field.outlines import outlines
@@ -42,6 +42,7 @@ def run_scenario(loaded: Loaded, out: Path, movie: bool = True, progress: bool =
     computed and its summary.
     """
     prepare_engine()
+    keep_compiled()
     try:
         experiment = build(loaded.scenario)
     except BadInput as error:
