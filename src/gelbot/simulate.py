@@ -24,7 +24,8 @@ from gelbot.points import EssentialPoints, Observation, body_frame, observe
 FRESH = 4
 """Iterations that a step takes with a new preconditioner."""
 STALE = 20
-"""Iterations beyond `FRESH`, added up over the steps, after which a new preconditioner pays for itself."""
+"""Iterations beyond `FRESH`, added up over the steps, after which a new preconditioner pays for itself; the mean of a
+batch, all of which get theirs at once."""
 
 
 class Gel(NamedTuple):
@@ -130,7 +131,7 @@ def step(model: Model, state: State, field: AppliedField, dt: Array) -> tuple[St
     inflow = surface_inflow(model, state.positions, field)
     ads = adsorb(state.ads, inflow, gel.p_ele, gel.p_ads, dt, gel.adsorption_step)
     rest = rest_shape(model.mechanics.elastic, gel.p_l, ads)
-    frame, is_old = body_frame(model.points, state.positions), jnp.any(state.strain > STALE)
+    frame, is_old = body_frame(model.points, state.positions), jnp.mean(state.strain) > STALE
     found, near, pairs = solve_step(
         model.mechanics, state.positions, state.velocities, rest, dt, state.near, frame, is_old, state.pairs
     )
