@@ -39,10 +39,19 @@ def bodies(star) -> dict[str, Body]:
     }
 
 
+def cut(body: Body, graph: scipy.sparse.csr_matrix, depth: int) -> list[list[np.ndarray]]:
+    """The body cut `depth` times: the cuts of each time, and at last the parts."""
+    levels, parts = [], [np.arange(body.nodes.shape[1])]
+    for _ in range(depth):
+        level, parts = dissection._cut(body.nodes, graph, parts)
+        levels.append(level)
+    return [*levels, parts]
+
+
 def at_depth(body: Body, depth: int, merged: int) -> Dissection:
     """The body cut `depth` times, the cuts of the first `merged` of them taken together."""
     graph = dissection._graph(body.nodes.shape[1], body.springs)
-    fronts = dissection._fronts(dissection._cut(body.nodes, graph, depth), graph, depth, merged)
+    fronts = dissection._fronts(cut(body, graph, depth), graph, depth, merged)
     return dissection._tables(fronts, body.nodes.shape[1], body.springs)
 
 
@@ -164,7 +173,7 @@ class TestOrder:
         """Nodes of two fronts of a level, and all that lies below them, know each other only through later nodes."""
         body = bodies[name]
         graph = dissection._graph(body.nodes.shape[1], body.springs)
-        fronts = dissection._fronts(dissection._cut(body.nodes, graph, 4), graph, 4, 1)
+        fronts = dissection._fronts(cut(body, graph, 4), graph, 4, 1)
         for depth in {front.depth for front in fronts}:
             level = [front for front in fronts if front.depth == depth]
             below = []
@@ -186,8 +195,8 @@ class TestOrder:
         """A strip three elements wide is cut across: four columns of two nodes, or five."""
         body = bodies["strip"]
         graph = dissection._graph(body.nodes.shape[1], body.springs)
-        (cut,), parts = dissection._cut(body.nodes, graph, 1)
-        assert len(cut) <= 10
+        (middle,), parts = cut(body, graph, 1)
+        assert len(middle) <= 10
         assert abs(len(parts[0]) - len(parts[1])) < 0.2 * body.nodes.shape[1]
 
     def test_larger_bodies_are_cut_more_often(self, bodies):

@@ -22,6 +22,8 @@ NO_OUTLINE = f'body={{shape="outline", {REST}}}'
 FROM_SVG = 'body={shape="outline", svg="%s.svg", width="8 mm", ' + REST + "}"
 SQUARE_SVG = '<svg xmlns="http://www.w3.org/2000/svg"><path d="M0 0 L10 0 L10 10 L0 10 Z"/></svg>'
 
+OBSTACLE = 'obstacles=[{shape="%s", position=["0 mm", "0 mm", "9 mm"], %s}]'
+
 # The change, the key that the message names, the value given, a part of what is allowed.
 MISTAKES = [
     ("body.thicknes=1 mm", "body.thicknes", "'1 mm'", "keys thickness"),
@@ -41,6 +43,10 @@ MISTAKES = [
     ("body.layers=1", "body.layers", "1", "at least 2"),
     ("body.layers=2.5", "body.layers", "2.5", "a whole number"),
     ("body.shape=circle", "body.shape", "'circle'", "starfish, strip, outline"),
+    ("material.model=jelly", "material.model", "'jelly'", "'lattice' or 'solid'"),
+    (OBSTACLE % ("pyramid", "size=1"), "obstacles.0.shape", "'pyramid'", "sphere, cylinder, box, plane"),
+    (OBSTACLE % ("box", 'size=["4 mm"]'), "obstacles.0.size", "['4 mm']", "a list of three values"),
+    (OBSTACLE % ("plane", "normal=[0, 0, 0]"), "obstacles.0.normal", "[0.0, 0.0, 0.0]", "not all zero"),
     ("body.mesh_size=1 um", "body.mesh_size", "'0.001 mm'", "at least"),
     ("body.arm_length=9 mm", "body.arm_length", "'9 mm'", "less than"),
     ("body.root_width=6 mm", "body.root_width", "'6 mm'", "where neighbouring arms meet"),

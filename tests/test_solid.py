@@ -33,13 +33,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.integrate
 import scipy.sparse
 import scipy.sparse.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from elastica import elastica
 from gelbot.body.lattice import Body, build_body
 from gelbot.body.outline import strip
 from gelbot.body.quadratic import with_midpoints
@@ -458,16 +458,7 @@ class TestBeam:
         """A dead load at the tip: E I theta'' = -P cos(theta), theta(0) = theta'(L) = 0 (Bisshopp and Drucker 1945)."""
         length, width, h, load = 20 * MM, 1 * MM, 0.5 * MM, 3.5  # of E I / L^2
         case = beam(length, width, h, 0.7 * MM)
-        s = np.linspace(0.0, 1.0, 101)
-        solved = scipy.integrate.solve_bvp(
-            lambda _, y: np.stack([y[1], -load * np.cos(y[0])]),
-            lambda a, b: np.array([a[0], b[1]]),
-            s,
-            np.zeros((2, 101)),
-        )
-        slope = float(solved.sol(1.0)[0])
-        down = float(scipy.integrate.trapezoid(np.sin(solved.sol(s)[0]), s))
-        back = 1.0 - float(scipy.integrate.trapezoid(np.cos(solved.sol(s)[0]), s))
+        slope, down, back = elastica(load)
         nodes = case.body.nodes
         end = nodes[0] > nodes[0].max() - 1e-9
         force = np.zeros(nodes.shape)

@@ -29,11 +29,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.integrate
 import scipy.optimize
 import scipy.sparse.linalg
 from scipy.spatial.transform import Rotation
 
+from elastica import elastica
 from gelbot.body.lattice import Body, build_body
 from gelbot.body.outline import starfish, strip
 from gelbot.control.programme import Playing, begin, play
@@ -125,16 +125,7 @@ class TestBeam:
     def test_elastica(self, beam, marched):
         """A dead load at the tip: E I theta'' = -P cos(theta), theta(0) = theta'(L) = 0 (Bisshopp and Drucker 1945)."""
         load = 3.5  # of E I / L^2
-        s = np.linspace(0.0, 1.0, 101)
-        solved = scipy.integrate.solve_bvp(
-            lambda _, y: np.stack([y[1], -load * np.cos(y[0])]),
-            lambda a, b: np.array([a[0], b[1]]),
-            s,
-            np.zeros((2, 101)),
-        )
-        slope = float(solved.sol(1.0)[0])
-        down = float(scipy.integrate.trapezoid(np.sin(solved.sol(s)[0]), s))
-        back = 1.0 - float(scipy.integrate.trapezoid(np.cos(solved.sol(s)[0]), s))
+        slope, down, back = elastica(load)
         weight = np.where(beam.end, load * beam.stiffness / beam.length**2 / beam.end.sum(), 0.0)
         u = at_rest(beam, marched, weight)
         tip = u[:, beam.end].mean(axis=1) / beam.length

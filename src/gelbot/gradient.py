@@ -21,10 +21,10 @@ from gelbot.adsorption import adsorb
 from gelbot.mechanics.adjoint import ENOUGH, renewed, solve_adjoint
 from gelbot.mechanics.elastic import Elastic, rest_shape
 from gelbot.mechanics.implicit import Mechanics, balance, begin_step, no_preconditioner
-from gelbot.mechanics.self_contact import find_pairs
+from gelbot.mechanics.self_contact import find_pairs, refreshed
 from gelbot.mechanics.springs import Lattice
 from gelbot.points import body_frame
-from gelbot.simulate import AppliedField, Gel, Model, State, apply, near_pairs, start, step, surface_inflow
+from gelbot.simulate import AppliedField, Gel, Model, State, apply, start, step, surface_inflow
 
 Tree = TypeVar("Tree")
 
@@ -122,7 +122,8 @@ def _pull_back(
 
         (_, rest), back_shape = jax.vjp(shape, x0, ads0, gel, mech.elastic, field)
         frame = body_frame(model.points, x0)
-        pairs = near_pairs(mech.surface, pairs, x0, frame)
+        if mech.surface is not None:
+            pairs = refreshed(mech.surface, pairs, x0, frame)
         begin = begin_step(mech, x0, v0, rest, dt, pairs)
         near = renewed(mech, begin, u, rest, near, frame, is_old)
         adjoint = solve_adjoint(mech, begin, u, after.x + after.v / dt, near, frame)

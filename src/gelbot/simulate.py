@@ -18,7 +18,7 @@ from gelbot.field.lead_field import LeadField, current_density, potential_coeffi
 from gelbot.mechanics.batch import dot
 from gelbot.mechanics.elastic import rest_shape
 from gelbot.mechanics.implicit import Mechanics, Preconditioner, no_preconditioner, solve_step
-from gelbot.mechanics.self_contact import ContactPairs, ContactSurface, find_pairs, refreshed
+from gelbot.mechanics.self_contact import ContactPairs, find_pairs
 from gelbot.points import EssentialPoints, Observation, body_frame, observe
 
 FRESH = 4
@@ -139,15 +139,6 @@ def step(model: Model, state: State, field: AppliedField, dt: Array) -> tuple[St
     after = State(state.time + dt, found.x, (found.x - state.positions) / dt, ads, near, strain, pairs)
     missed = jnp.zeros_like(found.iterations) if pairs is None else pairs.missed
     return after, StepReport(found.iterations, found.residual, missed)
-
-
-def near_pairs(
-    surface: ContactSurface | None, pairs: ContactPairs | None, positions: Array, frame: Array
-) -> ContactPairs | None:
-    """`pairs`, or new ones where the body at `positions` [m] has changed its shape since they were found."""
-    if surface is None or pairs is None:
-        return None
-    return refreshed(surface, pairs, positions, frame)
 
 
 @jax.jit

@@ -76,12 +76,16 @@ def dissect(points: NDArray[np.float64], pairs: Ints) -> Dissection:
     n = points.shape[1]
     graph = _graph(n, pairs)
     best: tuple[float, list[Front]] | None = None
+    cuts: list[list[Ints]] = []
+    parts = [np.arange(n)]
     for depth in range(DEEPEST + 1):
-        if depth > 0 and n < PART_MOST * 2 ** (depth - 1):
-            break
-        parts = _cut(points, graph, depth)
+        if depth > 0:
+            if n < PART_MOST * 2 ** (depth - 1):
+                break
+            level, parts = _cut(points, graph, parts)
+            cuts.append(level)
         for merged in range(1, depth + 1) if depth else (0,):
-            fronts = _fronts(parts, graph, depth, merged)
+            fronts = _fronts([*cuts, parts], graph, depth, merged)
             cost = _cost(fronts)
             if best is None or cost < best[0]:
                 best = cost, fronts
@@ -95,19 +99,16 @@ def _graph(n: int, pairs: Ints) -> scipy.sparse.csr_matrix:
     return (half + half.T).tocsr()
 
 
-def _cut(points: NDArray[np.float64], graph: scipy.sparse.csr_matrix, depth: int) -> list[list[Ints]]:
-    """Cuts at each depth, and at last the parts: lists of 1, 2, 4, ... sets of nodes."""
-    sets: list[list[Ints]] = []
-    parts = [np.arange(points.shape[1])]
-    for _ in range(depth):
-        cuts, halves = [], []
-        for part in parts:
-            first, cut, second = _bisect(points, graph, part)
-            cuts.append(cut)
-            halves += [first, second]
-        sets.append(cuts)
-        parts = halves
-    return [*sets, parts]
+def _cut(
+    points: NDArray[np.float64], graph: scipy.sparse.csr_matrix, parts: list[Ints]
+) -> tuple[list[Ints], list[Ints]]:
+    """A cut through each of `parts`, and their halves, two of each."""
+    cuts, halves = [], []
+    for part in parts:
+        first, cut, second = _bisect(points, graph, part)
+        cuts.append(cut)
+        halves += [first, second]
+    return cuts, halves
 
 
 def _bisect(points: NDArray[np.float64], graph: scipy.sparse.csr_matrix, part: Ints) -> tuple[Ints, Ints, Ints]:

@@ -279,7 +279,7 @@ def build_preconditioner(mech: Mechanics, begin: Beginning, u: Array, rest: Arra
         own = own + (stiff - grip) * normal[k][:, None] * normal[k][None]
         for axis in range(3):
             own = own.at[axis, axis].add(grip)
-    one = lambda own, between: factorise(mech.dissection, own, between, jnp.float32)  # noqa: E731
+    one = partial(factorise, mech.dissection, dtype=jnp.float32)
     own, between = jnp.moveaxis(own, 2, 0), jnp.moveaxis(between, 2, 0)
     factor = one(own, between) if x.ndim == 2 else jax.vmap(one, -1)(own, between)
     correction = None if begin.touching is None else _correction(mech, factor, begin, u)

@@ -13,9 +13,6 @@ from gelbot.errors import NOTHING, BadInput
 from gelbot.scenario.fields import Checked, Table
 from gelbot.scenario.schema import Scenario
 
-SHAPES = ("starfish", "strip", "outline")
-"""Pydantic names the shape of a body in the place of an error, the file does not."""
-
 WORDS = {
     "model_type": "a table",
     "dict_type": "a table",
@@ -40,9 +37,7 @@ def explained(error: ValidationError, source: str, overridden: tuple[str, ...] =
 def _case(found: ErrorDetails) -> tuple[str, object, str, str]:
     """Key, value given, what is allowed, and advice."""
     place, kind, context = found["loc"], found["type"], found.get("ctx", {})
-    path = [str(part) for part in place]
-    if path[:1] == ["body"] and path[1:2] and path[1] in SHAPES:
-        del path[1]
+    tables, path = _walked(place)
     key, given = ".".join(path), found["input"]
     if kind == "bad_input":
         below = context["key"]
@@ -58,8 +53,9 @@ def _case(found: ErrorDetails) -> tuple[str, object, str, str]:
         return key, NOTHING, "this key is required: " + _meaning(_table_at(place[:-1]).model_fields[str(place[-1])]), ""
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         tag = given.get("shape", NOTHING) if isinstance(given, dict) else NOTHING
-        near = get_close_matches(tag, SHAPES, 1) if isinstance(tag, str) else []
-        return f"{key}.shape", tag, "one of " + ", ".join(SHAPES), "".join(near)
+        shapes = [shape for table in tables for shape in _choices(table.model_fields.get("shape"))]
+        near = get_close_matches(tag, shapes, 1) if isinstance(tag, str) else []
+        return f"{key}.shape", tag, "one of " + ", ".join(shapes), "".join(near)
     if kind == "literal_error":
         return key, given, f"one of {context['expected']}", ""
     return key, given, WORDS.get(kind, found["msg"].removeprefix("Input should be ")), ""
@@ -67,14 +63,27 @@ def _case(found: ErrorDetails) -> tuple[str, object, str, str]:
 
 def _table_at(place: tuple[int | str, ...]) -> type[Table]:
     """The table that stands at `place` in a scenario."""
+    return _walked(place)[0][0]
+
+
+def _walked(place: tuple[int | str, ...]) -> tuple[list[type[Table]], list[str]]:
+    """The kinds of table that may stand at `place` in a scenario, and the place as the file has it.
+
+    Pydantic names the shape of a body or an obstacle in the place of an error, the file does not.
+    """
     tables: list[type[Table]] = [Scenario]
+    path: list[str] = []
     for part in place:
         if isinstance(part, str):
             of_this_shape = [t for t in tables if part in _choices(t.model_fields.get("shape"))]
-            tables = of_this_shape or [
+            if of_this_shape:
+                tables = of_this_shape
+                continue
+            tables = [
                 inner for t in tables if part in t.model_fields for inner in _tables(t.model_fields[part].annotation)
             ]
-    return tables[0]
+        path.append(str(part))
+    return tables, path
 
 
 def _tables(annotation: Any) -> list[type[Table]]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Discriminator, model_validator
 
+from gelbot.field.electrodes import frame_of
 from gelbot.scenario.fields import Dimension, Direction, Length, Number, Position, Several, Table, wrong
 
 Sizes3 = Annotated[tuple[float, float, float], Several(Dimension("m", gt=0), (3,))]
@@ -35,16 +36,13 @@ class SphereObstacle(Obstacle):
     diameter: Length
 
 
-class CylinderObstacle(Obstacle):
-    """A rod with flat ends about `position`, its middle: `diameter`, `length` [m], along `axis`."""
+class DirectedObstacle(Obstacle):
+    """One that stands along an `axis`, which need not have length one."""
 
-    shape: Literal["cylinder"]
-    diameter: Length
-    length: Length
     axis: Direction = UP
 
     @model_validator(mode="after")
-    def _has_an_axis(self) -> CylinderObstacle:
+    def _has_an_axis(self) -> DirectedObstacle:
         _unit(self.axis, "axis")
         return self
 
@@ -54,28 +52,26 @@ class CylinderObstacle(Obstacle):
         return _unit(self.axis, "axis")
 
 
-class BoxObstacle(Obstacle):
+class CylinderObstacle(DirectedObstacle):
+    """A rod with flat ends about `position`, its middle: `diameter`, `length` [m], along `axis`."""
+
+    shape: Literal["cylinder"]
+    diameter: Length
+    length: Length
+
+
+class BoxObstacle(DirectedObstacle):
     """A cuboid about `position`: its three `size` [m] along its own axes; its own z along `axis`, its own x as
     nearly as it can along the tank's x.
     """
 
     shape: Literal["box"]
     size: Sizes3
-    axis: Direction = UP
-
-    @model_validator(mode="after")
-    def _has_an_axis(self) -> BoxObstacle:
-        _unit(self.axis, "axis")
-        return self
 
     @property
     def turn(self) -> NDArray[np.float64]:
-        """Columns are the box's own axes, shape (3, 3)."""
-        z = _unit(self.axis, "axis")
-        near = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-        x = near - z * (near @ z)
-        x /= np.linalg.norm(x)
-        return np.column_stack([x, np.cross(z, x), z])
+        """Columns are the box's own axes, shape (3, 3), turned as an electrode's."""
+        return frame_of(self.axis)
 
 
 class PlaneObstacle(Obstacle):

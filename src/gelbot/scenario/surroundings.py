@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gelbot.errors import BadInput
 from gelbot.mechanics.obstacles import Boxes, Cylinders, Obstacles, Planes, Spheres, gaps
 from gelbot.scenario.obstacle_shapes import BoxObstacle, CylinderObstacle, PlaneObstacle, SphereObstacle
+from gelbot.scenario.placement import boundaries
 from gelbot.scenario.schema import Scenario
 from gelbot.units import shown
 
@@ -23,11 +24,9 @@ def obstacles(scenario: Scenario) -> Obstacles:
     """The plane z = 0 on which the gel lies, the tank's walls, and the obstacles, in this order of kinds."""
     tank, given = scenario.tank, scenario.obstacles
     planes: list[tuple[Vector, Vector, float]] = [((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), tank.friction)]
-    for axis, size in enumerate(tank.size or ()):
-        for sign in (-1.0, 1.0):
-            if ("-+"[sign > 0.0] + "xy"[axis]) not in tank.open:
-                inwards = -sign * np.eye(3)[axis]
-                planes.append((sign * size / 2.0 * np.eye(3)[axis], inwards, tank.friction))
+    walls = [boundary for boundary in boundaries(tank) if boundary.key == "tank.size"]
+    for _, axis, sign, limit in walls:
+        planes.append((limit * np.eye(3)[axis], -sign * np.eye(3)[axis], tank.friction))
 
     def of(kind: type[Kind]) -> list[Kind]:
         return [obstacle for obstacle in given if isinstance(obstacle, kind)]
