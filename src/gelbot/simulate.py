@@ -23,7 +23,7 @@ from gelbot.points import EssentialPoints, Observation, body_frame, observe
 
 FRESH = 4
 """Iterations that a step takes with a new preconditioner."""
-STALE = 20
+STALE = 30
 """Iterations beyond `FRESH`, added up over the steps, after which a new preconditioner pays for itself; the mean of a
 batch, all of which get theirs at once."""
 

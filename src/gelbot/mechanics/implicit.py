@@ -48,8 +48,10 @@ from gelbot.mechanics.pair_contact import (
 from gelbot.mechanics.quasi_newton import Solution, minimise
 from gelbot.mechanics.self_contact import ContactPairs, ContactSurface, changed, refreshed
 
-PATIENCE = 20
-"""Iterations after which a step asks for a new preconditioner."""
+PATIENCE = 30
+"""Iterations after which a step replaces the preconditioner that it was given."""
+LONGER = 60
+"""The same for one made within the step, which costs as much as some forty iterations."""
 
 
 class Mechanics(NamedTuple):
@@ -218,13 +220,15 @@ def solve_step(
             precondition=lambda g: apply_inverse(mech, near, frame, g),
             x=u,
             tolerance=allowed,
-            max_iterations=jnp.minimum(PATIENCE, mech.max_iterations),
+            max_iterations=jnp.minimum(jnp.where(is_old, LONGER, PATIENCE), mech.max_iterations),
             longest=longest,
         )
         return found._replace(iterations=found.iterations + before.iterations), near, jnp.asarray(True), pairs
 
     batch = x0.shape[2:]
-    guess = dt * v0 if pairs is None else jnp.zeros_like(x0)
+    # That all moves on is a good first guess, but not into an obstacle.
+    free = jnp.min(gaps(mech.obstacles, x0 + dt * v0)[0], axis=(0, 1)) > -mech.contact_layer
+    guess = jnp.where(free, dt * v0, 0.0) if pairs is None else jnp.zeros_like(x0)
     first = Solution(guess, jnp.full(batch, jnp.inf, x0.dtype), jnp.zeros(batch, int))
     found, near, _, pairs = jax.lax.while_loop(unfinished, attempt, (first, near, jnp.asarray(is_old), pairs))
     return Solution(x0 + found.x, found.residual / mech.force_scale, found.iterations), near, pairs
