@@ -202,6 +202,7 @@ def test_errors_of_a_run_are_messages(monkeypatch: pytest.MonkeyPatch):
 
     cases = [
         (SimulationFailed(1.5, 0.2, 0.01, True), 1, "did not converge at t = 1.500 s"),
+        (SimulationFailed(1.5, 0.01, 0.01, True, 3), 1, "3 were left out"),
         (BadInput("body.mesh_size", "9 mm", "less"), 2, "body.mesh_size"),
         (PermissionError(13, "Permission denied", "place"), 1, "place: Permission denied"),
     ]

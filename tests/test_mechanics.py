@@ -48,6 +48,7 @@ from gelbot.mechanics.contact import (
     normal_energy,
     normal_forces,
     normal_stiffness,
+    resting_depth,
 )
 from gelbot.mechanics.implicit import apply_inverse, balance, begin_step, build_preconditioner
 from gelbot.mechanics.medium import GRAVITY, drag_forces, gravity_forces, net_weight
@@ -190,6 +191,12 @@ class TestContactAndMedium:
         assert np.asarray(normal_forces(jnp.asarray(z), k, d)) == pytest.approx(expected)
         # The docstring's rule: with k = 2 W / d the weight W on one node brings it to z = 0.
         assert float(normal_forces(jnp.zeros(1), 2.0 * 0.7 / d, d)[0]) == pytest.approx(0.7)
+
+    @given(st.floats(0.0, 1e-4))
+    def test_what_rests_is_carried(self, force):
+        k, d = 3.0, 1e-5
+        depth = resting_depth(jnp.asarray([force]), k, d)
+        assert float(normal_forces(d - depth, k, d)[0]) == pytest.approx(force, rel=1e-9, abs=1e-18)
 
     @given(st.floats(-1e-4, 1e-4))
     def test_floor_stiffness_is_the_slope(self, z):

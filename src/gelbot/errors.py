@@ -41,13 +41,20 @@ class BadInput(GelbotError):
 
 
 class SimulationFailed(GelbotError):
-    """The implicit step did not reach its tolerance, or the state is no longer finite."""
+    """The implicit step did not reach its tolerance, the state is no longer finite, or contacts were `missed`."""
 
-    def __init__(self, time: float, residual: float, tolerance: float, finite: bool) -> None:
-        self.time, self.residual, self.tolerance, self.finite = time, residual, tolerance, finite
-        what = "did not converge" if finite else "became non-finite"
-        super().__init__(
-            f"the simulation {what} at t = {time:.3f} s: residual {residual:.3g}, tolerance {tolerance:.3g} "
-            "(both relative to the body's net weight). Try: a smaller simulation.time_step, "
-            "more simulation.max_iterations, a stiffer material.young_modulus, or a finer body.mesh_size"
-        )
+    def __init__(self, time: float, residual: float, tolerance: float, finite: bool, missed: int = 0) -> None:
+        self.time, self.residual, self.tolerance, self.finite, self.missed = time, residual, tolerance, finite, missed
+        if missed and finite:
+            text = (
+                f"the simulation met more contacts of the body with itself than there is room for at t = {time:.3f} s: "
+                f"{missed} were left out. Try: a coarser body.mesh_size, or material.self_contact = false"
+            )
+        else:
+            what = "did not converge" if finite else "became non-finite"
+            text = (
+                f"the simulation {what} at t = {time:.3f} s: residual {residual:.3g}, tolerance {tolerance:.3g} "
+                "(both relative to the body's net weight). Try: a smaller simulation.time_step, "
+                "more simulation.max_iterations, a stiffer material.young_modulus, or a finer body.mesh_size"
+            )
+        super().__init__(text)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import platform
 import time as clock
+from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +29,7 @@ from gelbot.record.whole_file import write_text
 from gelbot.scenario.build import Experiment, build, disturbed
 from gelbot.scenario.load import Loaded
 from gelbot.show.progress import RunProgress
-from gelbot.simulate import Frame, rollout
+from gelbot.simulate import Frame, Model, State, rollout
 
 RUN, SUMMARY, SCENARIO = "run.zarr", "summary.json", "scenario.toml"
 """What a run folder holds, beside the pictures."""
@@ -78,35 +79,75 @@ def _simulate(experiment: Experiment, store: RunStore, bar: RunProgress, times: 
     """Chunk after chunk: compute, write, show. `times` counts computing alone, not writing and drawing."""
     scenario = experiment.scenario
     period, names = scenario.programme.control_period, [phase.name for phase in scenario.programme.phases]
-    steps = round(period / scenario.simulation.time_step)
     every = round(scenario.recording.interval / period)
-    per_chunk = round(scenario.recording.chunk / period)
-    left = round(scenario.simulation.duration / period)
-    state, dt = experiment.state, jnp.asarray(scenario.simulation.time_step, experiment.state.positions.dtype)
-    memory = Playing(experiment.programme, begin(observe(experiment.model.points, state.positions)))
-    compiled: dict[int, Any] = {}
-    low = float(memory.progress.last_height) * 1e3
+    low = float(observe(experiment.model.points, experiment.state.positions).centre[2]) * 1e3
     bar.update(0.0, "compiling", low)
-    while left > 0:
-        count = min(per_chunk, left)
-        model = disturbed(experiment, experiment.model, state.positions)
-        if count not in compiled:
-            began = clock.perf_counter()
-            compiled[count] = rollout.lower(model, state, play, memory, dt, count, steps).compile()
-            times["compile_s"] += clock.perf_counter() - began
-            if len(compiled) == 1:
-                bar.update(0.0, names[0], low)
-        began = clock.perf_counter()
-        state, memory, frames = jax.block_until_ready(compiled[count](model, state, memory, dt))
-        times["wall_s"] += clock.perf_counter() - began
-        good = _good_frames(frames, scenario.simulation.tolerance)
+    tolerance = scenario.simulation.tolerance
+    compiled = first_program(experiment, times)
+    bar.update(0.0, names[0], low)
+    for frames in march(experiment, experiment.model, experiment.state, compiled, times):
+        count, good = len(frames.time), _good_frames(frames, tolerance)
         kept = slice(every - 1, good, every) if good == count else slice(0, good)
         if good:
             store.append(frames_part(experiment, jax.tree.map(lambda a, kept=kept: np.asarray(a)[kept], frames)))
         if good < count:
-            raise _failure(frames, good, scenario.simulation.tolerance)
-        left -= count
+            raise _failure(frames, good, tolerance)
         bar.update(float(frames.time[-1]), names[int(frames.command.phase[-1])], float(_last_height(frames)) * 1e3)
+
+
+Programs: TypeAlias = dict[int, Any]
+"""Compiled rollouts by their number of control periods; they serve all robots of an experiment."""
+
+
+def first_program(experiment: Experiment, times: dict[str, float]) -> Programs:
+    """The program that `march` begins with; adds to `times`."""
+    simulation, period = experiment.scenario.simulation, experiment.scenario.programme.control_period
+    count = round(min(experiment.scenario.recording.chunk, simulation.duration) / period)
+    model = disturbed(experiment, experiment.model, experiment.state.positions)
+    return {count: _compiled(experiment, model, experiment.state, _memory(experiment, experiment.state), count, times)}
+
+
+def march(
+    experiment: Experiment, model: Model, state: State, compiled: Programs, times: dict[str, float]
+) -> Iterator[Frame]:
+    """The scenario's whole programme for the robot `model` from `state`, a recording chunk of frames at a time.
+
+    What is not yet among the `compiled` programs is added; `times` adds up `wall_s` and `compile_s` [s].
+    """
+    scenario = experiment.scenario
+    period = scenario.programme.control_period
+    per_chunk, left = (round(t / period) for t in (scenario.recording.chunk, scenario.simulation.duration))
+    memory, dt = _memory(experiment, state), _time_step(experiment, state)
+    while left > 0:
+        count = min(per_chunk, left)
+        model = disturbed(experiment, model, state.positions)
+        if count not in compiled:
+            compiled[count] = _compiled(experiment, model, state, memory, count, times)
+        began = clock.perf_counter()
+        state, memory, frames = jax.block_until_ready(compiled[count](model, state, memory, dt))
+        times["wall_s"] += clock.perf_counter() - began
+        left -= count
+        yield frames
+
+
+def _compiled(
+    experiment: Experiment, model: Model, state: State, memory: Playing, count: int, times: dict[str, float]
+) -> Any:
+    simulation, period = experiment.scenario.simulation, experiment.scenario.programme.control_period
+    began = clock.perf_counter()
+    steps, dt = round(period / simulation.time_step), _time_step(experiment, state)
+    program = rollout.lower(model, state, play, memory, dt, count, steps).compile()
+    times["compile_s"] += clock.perf_counter() - began
+    return program
+
+
+def _memory(experiment: Experiment, state: State) -> Playing:
+    """The programme at its beginning."""
+    return Playing(experiment.programme, begin(observe(experiment.model.points, state.positions)))
+
+
+def _time_step(experiment: Experiment, state: State) -> jax.Array:
+    return jnp.asarray(experiment.scenario.simulation.time_step, state.positions.dtype)
 
 
 def _last_height(frames: Frame) -> np.floating[Any]:
@@ -115,16 +156,17 @@ def _last_height(frames: Frame) -> np.floating[Any]:
 
 
 def _good_frames(frames: Frame, tolerance: float) -> int:
-    """How many frames, from the first, are converged and finite."""
-    residual = np.asarray(frames.report.residual)
-    good = (residual <= tolerance) & np.all(np.isfinite(np.asarray(frames.positions)), axis=(1, 2))
+    """How many frames, from the first, are converged and finite, with room for all contacts."""
+    residual, missed = np.asarray(frames.report.residual), np.asarray(frames.report.missed)
+    good = (residual <= tolerance) & (missed == 0) & np.all(np.isfinite(np.asarray(frames.positions)), axis=(1, 2))
     return len(good) if bool(good.all()) else int(np.argmin(good))
 
 
 def _failure(frames: Frame, index: int, tolerance: float) -> SimulationFailed:
     finite = bool(np.all(np.isfinite(np.asarray(frames.positions[index]))))
     residual = float(frames.report.residual[index])
-    return SimulationFailed(float(frames.time[index]), residual, tolerance, finite and np.isfinite(residual))
+    missed = int(frames.report.missed[index])
+    return SimulationFailed(float(frames.time[index]), residual, tolerance, finite and np.isfinite(residual), missed)
 
 
 def static_part(experiment: Experiment, loaded: Loaded) -> xr.Dataset:

@@ -26,6 +26,15 @@ def normal_forces(gap: Array, stiffness: Array, layer: Array) -> Array:
     return stiffness * jnp.where(depth < layer, depth**2 / (2.0 * layer), depth - layer / 2.0)
 
 
+def resting_depth(force: Array, stiffness: Array, layer: Array) -> Array:
+    """How deep [m] in the layer a point presses with `force` [N]: the depth p of `normal_forces`, inverted."""
+    return jnp.where(
+        force < 0.5 * stiffness * layer,
+        jnp.sqrt(2.0 * layer * jnp.maximum(0.0, force) / stiffness),
+        force / stiffness + layer / 2.0,
+    )
+
+
 def normal_energy(gap: Array, stiffness: Array, layer: Array) -> Array:
     """Energy of the pressed surface [J], one for each gap: -d/dg of it is `normal_forces`."""
     depth = jnp.maximum(0.0, layer - gap)

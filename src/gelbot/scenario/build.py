@@ -20,6 +20,7 @@ from gelbot.field.gel import disturbance, gel_panels
 from gelbot.field.images import Tank
 from gelbot.field.lead_field import build_lead_field, table_error
 from gelbot.mechanics.beam import bending_modulus
+from gelbot.mechanics.contact import resting_depth
 from gelbot.mechanics.dissection import dissect
 from gelbot.mechanics.elastic import Elastic, node_pairs
 from gelbot.mechanics.implicit import Mechanics
@@ -89,7 +90,7 @@ def build(scenario: Scenario) -> Experiment:
         )
 
     model = build_model(scenario, body, field, connected)
-    positions = posed(scenario, body)
+    positions = sunk(model.mechanics, posed(scenario, body))
     error = table_error(model.lead, field, face_geometry(jnp.asarray(positions), model.gel.faces)[0], connected)
     check_free(model.mechanics.obstacles, positions)
     model, positions = cast(model), cast(positions)
@@ -131,6 +132,19 @@ def posed(scenario: Scenario, body: Body) -> NDArray[np.float64]:
     pose = scenario.body.pose
     flat = rotation(pose.heading) @ body.nodes[:2] + np.array(pose.position)[:, None]
     return np.vstack([flat, body.nodes[2] + pose.lift + CONTACT_LAYER * body.thickness])
+
+
+def sunk(mech: Mechanics, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A body that has been laid on the floor's contact layer, so deep in it that it rests there.
+
+    Otherwise it would begin with a fall that one cannot see, and that costs as much as a minute's rest.
+    """
+    lying = positions[2] <= mech.contact_layer * (1.0 + 1e-9)
+    if not lying.any():
+        return positions
+    load = jnp.sum(mech.weight) / lying.sum()
+    depth = float(resting_depth(load, mech.contact_stiffness, mech.contact_layer))
+    return positions - np.array([[0.0], [0.0], [depth]])
 
 
 def build_model(scenario: Scenario, body: Body, field: FieldSolution, connected: NDArray[np.float64]) -> Model:

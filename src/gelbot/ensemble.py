@@ -1,0 +1,178 @@
+"""Many robots of one scenario, each a little different: all of the machine's cores, one robot on each at a time.
+
+    robots = scattered(100, seed=1, shift=0.5e-3, turn=np.radians(3.0), p_ele=0.15)
+    for one in march_all(load("turn-over"), robots):
+        print(one.robot, one.summary["turned_over"])
+
+Robots wait for nobody: a step takes as many iterations as it needs. Marched in step instead, (3, n, b), all would wait
+for the slowest of them, and each would read its own factor from farther away: on a CPU that is slower, see
+docs/performance.md.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from gelbot.body.symmetry import rotation
+from gelbot.engine import keep_compiled, prepare_engine
+from gelbot.errors import GelbotError
+from gelbot.gradient import stiffened
+from gelbot.record.summary import summarise
+from gelbot.run import Programs, first_program, frames_part, march
+from gelbot.scenario.build import Experiment, build
+from gelbot.scenario.load import Loaded
+from gelbot.simulate import Model, start
+
+LEFT_OUT = ("position", "adsorption")
+"""What is not kept of an ensemble's frames: nearly all of their size."""
+
+
+class Robots(NamedTuple):
+    """How each of `b` robots differs from the scenario's, all arrays of floats.
+
+    Moved by `shift` [m] (b, 2) in x and y and turned about its centre by `turn` [rad] (b,); `p_ele`, `p_l` and
+    `young_modulus` (b,) are factors on the scenario's.
+    """
+
+    shift: NDArray[np.float64]
+    turn: NDArray[np.float64]
+    p_ele: NDArray[np.float64]
+    p_l: NDArray[np.float64]
+    young_modulus: NDArray[np.float64]
+
+
+class Outcome(NamedTuple):
+    """What became of number `robot`: its `summary` as of a run, whether all steps `converged`, and its `frames`.
+
+    The frames are those of a run folder without positions of nodes and adsorption of faces; `wall_s` [s] is what
+    computing took.
+    """
+
+    robot: int
+    summary: dict[str, Any]
+    converged: bool
+    frames: xr.Dataset
+    wall_s: float
+
+
+def scattered(
+    count: int,
+    seed: int,
+    shift: float = 0.0,
+    turn: float = 0.0,
+    p_ele: float = 0.0,
+    p_l: float = 0.0,
+    young_modulus: float = 0.0,
+) -> Robots:
+    """`count` robots, uniform within plus or minus `shift` [m], `turn` [rad] and the shares of the material's numbers.
+
+    `p_ele` 0.15 means 15 % about the scenario's. The same `seed` gives the same robots; the first ones do not depend on
+    `count`.
+    """
+    rng = np.random.default_rng(seed)
+    x, y, angle, *material = rng.uniform(-1.0, 1.0, (count, 6)).T
+    factors = [1.0 + share * part for share, part in zip((p_ele, p_l, young_modulus), material, strict=True)]
+    return Robots(shift * np.stack([x, y], axis=1), turn * angle, *factors)
+
+
+def march_all(loaded: Loaded, robots: Robots, processes: int | None = None) -> Iterator[Outcome]:
+    """The whole programme of `loaded` for each of `robots`; outcomes come as they are ready, in any order.
+
+    `processes`: 1 computes here, more in as many processes of their own; None: one for each core. Each builds the
+    scenario for itself. A robot whose steps do not converge is an outcome too. A script that calls this with more than
+    one must keep its own start behind `if __name__ == "__main__":`, as always with processes.
+    """
+    count = len(robots.turn)
+    wanted = min(count, (os.cpu_count() or 1) if processes is None else processes)
+    if wanted <= 1:
+        _prepare(loaded)
+        yield from (_outcome(k, _of(robots, k)) for k in range(count))
+        return
+    context = get_context("spawn")  # the engine's threads do not survive a fork
+    with ProcessPoolExecutor(wanted, context, _prepare, (loaded,)) as pool:
+        open_ones = {pool.submit(_outcome, k, _of(robots, k)) for k in range(count)}
+        try:
+            while open_ones:
+                done, open_ones = wait(open_ones, return_when=FIRST_COMPLETED)
+                yield from (one.result() for one in done)
+        except BrokenProcessPool as error:
+            raise GelbotError(
+                "a process that computes robots ended by itself. Try: the script's own start behind "
+                '`if __name__ == "__main__":`, fewer processes where memory is short, or processes=1'
+            ) from error
+        finally:
+            for one in open_ones:
+                one.cancel()
+
+
+def _of(robots: Robots, index: int) -> Robots:
+    """One robot's numbers."""
+    return Robots(*(values[index] for values in robots))
+
+
+class _Prepared(NamedTuple):
+    experiment: Experiment
+    programs: Programs
+
+
+_prepared: _Prepared | None = None
+"""What a process has built: once, for all of its robots."""
+
+
+def _prepare(loaded: Loaded) -> None:
+    global _prepared
+    prepare_engine()
+    keep_compiled()
+    experiment = build(loaded.scenario)
+    _prepared = _Prepared(experiment, first_program(experiment, {"wall_s": 0.0, "compile_s": 0.0}))
+
+
+def _outcome(index: int, robot: Robots) -> Outcome:
+    assert _prepared is not None
+    experiment, programs = _prepared
+    times = {"wall_s": 0.0, "compile_s": 0.0}
+    state = start(experiment.model, moved(experiment, robot.shift, float(robot.turn)))
+    chunks = []
+    for frames in march(experiment, varied(experiment.model, robot), state, programs, times):
+        chunks.append(jax.tree.map(np.asarray, frames))
+        if not np.isfinite(chunks[-1].positions[-1]).all():
+            break
+    frames = jax.tree.map(lambda *parts: np.concatenate(parts), *chunks)
+    converged = bool(np.all(frames.report.residual <= experiment.scenario.simulation.tolerance))
+    part = frames_part(experiment, frames)
+    summary = summarise(part, times["wall_s"], times["compile_s"])
+    kept = part.drop_vars(LEFT_OUT).load()
+    return Outcome(index, summary, converged and not frames.report.missed.any(), kept, times["wall_s"])
+
+
+def moved(experiment: Experiment, shift: NDArray[np.float64], turn: float) -> jax.Array:
+    """The start positions [m] (3, n), moved by `shift` [m] (2,) and turned about the body's centre by `turn` [rad]."""
+    x = np.asarray(experiment.state.positions)
+    centre = np.array(experiment.scenario.body.pose.position)[:, None]
+    flat = rotation(turn) @ (x[:2] - centre) + centre + np.asarray(shift)[:, None]
+    return jnp.asarray(np.vstack([flat, x[2:]]), x.dtype)
+
+
+def varied(model: Model, robot: Robots) -> Model:
+    """`model` with the material of one robot."""
+    gel, mech = model.gel, model.mechanics
+
+    def times(value: jax.Array, factor: NDArray[np.float64]) -> jax.Array:
+        return value * jnp.asarray(factor, value.dtype)
+
+    factor = jnp.asarray(robot.young_modulus, mech.node_mass.dtype)
+    return model._replace(
+        gel=gel._replace(p_ele=times(gel.p_ele, robot.p_ele), p_l=times(gel.p_l, robot.p_l)),
+        mechanics=mech._replace(elastic=stiffened(mech.elastic, factor)),
+    )
