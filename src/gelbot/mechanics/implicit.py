@@ -37,7 +37,6 @@ from gelbot.mechanics.obstacles import Obstacles, gaps
 from gelbot.mechanics.pair_contact import (
     PairLaw,
     Touching,
-    contact_forces,
     contact_room,
     first_way,
     longest_way,
@@ -52,6 +51,8 @@ PATIENCE = 30
 """Iterations after which a step replaces the preconditioner that it was given."""
 LONGER = 60
 """The same for one made within the step, which costs as much as some forty iterations."""
+NEARLY = 1e-9
+"""Share of the firmest contact that is as good as nothing."""
 
 
 class Mechanics(NamedTuple):
@@ -82,9 +83,12 @@ class Mechanics(NamedTuple):
 class Correction(NamedTuple):
     """What the body's contacts with itself change in the inverse A^-1 of its stiffness (Woodbury's formula),
 
-        (A + N D N^T)^-1 = A^-1 - Z K Z^T,    Z = A^-1 N,    K = D^1/2 (1 + D^1/2 N^T Z D^1/2)^-1 D^1/2.
+        (A + N N^T)^-1 = A^-1 - Z K Z^T,    Z = A^-1 N,    K = (1 + N^T Z)^-1,
 
-    `responses` Z (m, n, 3), `kernel` K (m, m); `present`: whether there are any.
+    where N N^T is the stiffness of contacts between some m nodes. A column of N is a load of contacts, in balance: no
+    rigid motion, which is soft and would drown the rest in single precision, answers to it.
+
+    `responses` Z (3 m, n, 3), `kernel` K (3 m, 3 m); `present`: whether there are any.
     """
 
     responses: Array
@@ -296,16 +300,19 @@ def _correction(mech: Mechanics, factor: Factor, begin: Beginning, u: Array) -> 
     present = jnp.any(touching.pairs.found > 0)
 
     def one(factor: Factor, touching: Touching, u: Array) -> Correction:
-        contacts = pair_stiffness(touching, law, begin.dt, u)
-        forces = contact_forces(contacts, u.shape[1])
-        responses = jax.vmap(lambda f: solve(mech.dissection, factor, f))(forces.astype(jnp.float32))
-        flat = responses.reshape(responses.shape[0], -1)
-        root = jnp.sqrt(contacts.size.ravel())
-        compliance = (flat @ forces.reshape(flat.shape).astype(jnp.float32).T).astype(jnp.float64)
-        compliance = 0.5 * (compliance + compliance.T)
-        inner = jnp.eye(len(root)) + root[:, None] * compliance * root
-        kernel = root[:, None] * block_inverse(inner) * root
-        return Correction(responses, kernel.astype(jnp.float32), jnp.any(contacts.size > 0.0))
+        assert mech.surface is not None
+        nodes, blocks = pair_stiffness(mech.surface, touching, law, begin.dt, u)
+        m = 3 * len(nodes)
+        stiffness = blocks.reshape(m, m).astype(jnp.float64)
+        present = jnp.any(stiffness != 0.0)
+        # Contacts hold fewer directions than nodes have: a little more makes their stiffness definite.
+        loads = jnp.linalg.cholesky(stiffness + (NEARLY * jnp.max(stiffness) + ~present) * jnp.eye(m))
+        forces = jnp.zeros((m, u.shape[1], 3), jnp.float32)
+        forces = forces.at[:, nodes].set(loads.T.reshape(m, -1, 3).astype(jnp.float32))
+        responses = jax.vmap(lambda f: solve(mech.dissection, factor, f))(forces)
+        inner = responses[:, nodes].reshape(m, m).astype(jnp.float64) @ loads
+        kernel = block_inverse(jnp.eye(m) + 0.5 * (inner + inner.T))
+        return Correction(responses, kernel.astype(jnp.float32), present)
 
     def found() -> Correction:
         if u.ndim == 2:
@@ -316,9 +323,11 @@ def _correction(mech: Mechanics, factor: Factor, begin: Beginning, u: Array) -> 
 
 
 def _no_correction(mech: Mechanics, count: int, batch: tuple[int, ...]) -> Correction:
-    m = 3 * contact_room(mech.surface)
+    room = contact_room(mech.surface)
     return Correction(
-        jnp.zeros((*batch, m, count, 3), jnp.float32), jnp.zeros((*batch, m, m), jnp.float32), jnp.zeros(batch, bool)
+        jnp.zeros((*batch, 3 * room, count, 3), jnp.float32),
+        jnp.zeros((*batch, 3 * room, 3 * room), jnp.float32),
+        jnp.zeros(batch, bool),
     )
 
 

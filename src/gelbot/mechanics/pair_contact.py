@@ -16,6 +16,7 @@ Mostly there are no pairs: then nothing is computed.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -27,12 +28,14 @@ from gelbot.mechanics.batch import dot, settled
 from gelbot.mechanics.contact import along_surface, friction_energy, friction_grip
 from gelbot.mechanics.self_contact import TINY, ContactPairs, ContactSurface, closest_weights, from_middle
 
-FIRMEST = 48
-"""Contacts, at most, that the preconditioner knows of."""
+FIRMEST = 96
+"""Surface nodes, at most, whose contacts with each other the preconditioner knows of: those held most firmly."""
 PARALLEL = 1e-2
 """Square of the sine, e, of the angle between two edges above which they are a whole contact."""
 CLOSEST = 1e-4
 """Pairs that begin a step nearer than this share of the layer have met before anyone looked: they do not count."""
+FEW = 0.25
+"""Where no more than this share of the places is taken, only so many are computed."""
 KEPT = 0.2
 """Share of a pair's distance that one iteration must leave."""
 LEAST = 1e-2
@@ -148,9 +151,42 @@ def pair_balance(touching: Touching, law: PairLaw, dt: Array, u: Array) -> tuple
 
     return jax.lax.cond(
         jnp.any(touching.pairs.found > 0),
-        lambda: _each(one, u.ndim)(touching, u),
+        lambda: _of_the_taken(lambda some: _each(one, u.ndim)(some, u), touching),
         lambda: (jnp.zeros(u.shape[2:], u.dtype), jnp.zeros_like(u)),
     )
+
+
+def _of_the_taken(what: Callable[[Touching], Any], touching: Touching) -> Any:
+    """`what` of `touching`, without the places at its end where they are empty: taken are the first ones of a kind."""
+    met, crossed = (kind.shape[1] for kind in (touching.pairs.node_face, touching.pairs.edge_edge))
+    few, few_crossed = (math.ceil(FEW * places) for places in (met, crossed))
+
+    def first(part: Array, axis: int) -> Array:
+        faced, edges = (slice(0, few), slice(met, met + few_crossed))
+        every = (slice(None),) * axis
+        return jnp.concatenate([part[(*every, faced)], part[(*every, edges)]], axis=axis)
+
+    def shorter() -> Any:
+        pairs = touching.pairs
+        return what(
+            Touching(
+                pairs=pairs._replace(
+                    node_face=pairs.node_face[:, :few],
+                    edge_edge=pairs.edge_edge[:, :few_crossed],
+                    valid=first(pairs.valid, 0),
+                ),
+                corners=first(touching.corners, 2),
+                parallel=touching.parallel[:few_crossed],
+                distance=first(touching.distance, 0),
+                weights=first(touching.weights, 1),
+                normal=first(touching.normal, 1),
+                pressed=first(touching.pressed, 0),
+            )
+        )
+
+    valid = touching.pairs.valid
+    many = jnp.any(valid[few:met]) | jnp.any(valid[met + few_crossed :])
+    return jax.lax.cond(many, lambda: what(touching), shorter)
 
 
 def longest_way(surface: ContactSurface, touching: Touching, shift: Array, u: Array, direction: Array) -> Array:
@@ -171,7 +207,7 @@ def longest_way(surface: ContactSurface, touching: Touching, shift: Array, u: Ar
 
     between = jax.lax.cond(
         jnp.any(touching.pairs.found > 0),
-        lambda: _each(one, u.ndim)(touching, u, direction),
+        lambda: _of_the_taken(lambda some: _each(one, u.ndim)(some, u, direction), touching),
         lambda: jnp.ones(u.shape[2:], u.dtype),
     )
     return jnp.minimum(between, _unwatched(surface, shift + from_middle(u), direction))
@@ -205,61 +241,53 @@ def _unwatched(surface: ContactSurface, moved: Array, direction: Array) -> Array
     speed, gain = dot(ahead, ahead) + TINY, dot(moved, ahead)
     left = jnp.maximum(0.0, (0.5 * surface.margin) ** 2 - dot(moved, moved))
     length = jnp.min((jnp.sqrt(gain**2 + speed * left) - gain) / speed, axis=0)
-    return jnp.where(length < LEAST, 0.0, jnp.minimum(length, 1.0))
+    # However long the way: only a body that has changed its shape since has a reason to look again.
+    old = jnp.max(dot(moved, moved), axis=0) > (0.25 * surface.margin) ** 2
+    return jnp.where(old & (length < LEAST), 0.0, jnp.minimum(length, 1.0))
 
 
 def contact_room(surface: ContactSurface | None) -> int:
-    """How many contacts a `PairStiffness` of this surface holds."""
-    if surface is None:
-        return 0
-    return min(FIRMEST, surface.node_face_places[1].shape[0] + surface.edge_edge_places[1].shape[0])
+    """How many nodes a `PairStiffness` of this surface holds."""
+    return 0 if surface is None else min(FIRMEST, surface.nodes.shape[1])
 
 
 class PairStiffness(NamedTuple):
-    """The stiffness sum_m N_m d_m N_m^T of the firmest contacts, m of them times three directions.
+    """What contacts add to the stiffness of the `nodes` (m,) that they hold most firmly: `blocks` [N/m] (m, 3, m, 3).
 
-    `nodes` (4, m) and `weights` (4, m) of the contacts, `axes` (3, 3, m): normal and two along the surface, one a row;
-    `size` d [N/m] (3, m). N_m has w_k axis at node k.
+    Faces that lie flat on each other have several times as many contacts as nodes.
     """
 
     nodes: Array
-    weights: Array
-    axes: Array
-    size: Array
+    blocks: Array
 
 
-def pair_stiffness(touching: Touching, law: PairLaw, dt: Array, u: Array) -> PairStiffness:
-    """What the body's contact with itself adds to its stiffness after a displacement `u` [m], (3, n)."""
-    nodes = _nodes(touching.pairs)
+def pair_stiffness(surface: ContactSurface, touching: Touching, law: PairLaw, dt: Array, u: Array) -> PairStiffness:
+    """What the body's contact with itself adds to its stiffness after a displacement `u` [m], (3, n).
+
+    Without what would make it indefinite: that normals turn, and that edges become parallel.
+    """
+    nodes, room = _nodes(touching.pairs), contact_room(surface)
     moved = u[:, nodes]
     corners = touching.corners + (moved - moved[:, :1])
     distance, weights, normal = pair_gaps(touching.pairs, corners)
     slip = along_surface(jnp.sum(touching.weights * moved, axis=1), touching.normal)
     grip = friction_grip(slip, touching.pressed, law.friction, law.stick_speed, dt)
-    factor = _factors(touching.pairs, touching.parallel, corners)[0]
-    stiff = factor * barrier(distance, law.stiffness, law.layer)[2]
-    _, firmest = jax.lax.top_k(stiff + grip, min(FIRMEST, stiff.shape[0]))
-    stiff, grip, weights, normal = (part[..., firmest] for part in (stiff, grip, weights, normal))
-    across = _across(normal)
-    third = jnp.stack([normal[k - 2] * across[k - 1] - normal[k - 1] * across[k - 2] for k in range(3)])
-    return PairStiffness(nodes[:, firmest], weights, jnp.stack([normal, across, third]), jnp.stack([stiff, grip, grip]))
-
-
-def contact_forces(stiffness: PairStiffness, count: int) -> Array:
-    """The columns N_m as forces on `count` nodes, shape (3 m, n, 3)."""
-    m = stiffness.weights.shape[-1]
-    pull = stiffness.weights[:, None, None] * stiffness.axes  # (4, axis, xyz, m)
-    pull = pull.transpose(1, 3, 0, 2).reshape(3 * m, 4, 3)
-    place = jnp.tile(stiffness.nodes.T, (3, 1))
-    return jnp.zeros((3 * m, count, 3), pull.dtype).at[jnp.arange(3 * m)[:, None], place].add(pull)
-
-
-def _across(normal: Array) -> Array:
-    """A unit vector across each unit `normal` (3, m)."""
-    x, y, z = normal
-    flat = jnp.abs(z) > 0.7
-    across = jnp.where(flat, jnp.stack([z, jnp.zeros_like(x), -x]), jnp.stack([-y, x, jnp.zeros_like(x)]))
-    return across / jnp.sqrt(jnp.maximum(dot(across, across), TINY))
+    stiff = _factors(touching.pairs, touching.parallel, corners)[0] * barrier(distance, law.stiffness, law.layer)[2]
+    firmness = jnp.zeros_like(u[0]).at[nodes].add(weights**2 * stiff + touching.weights**2 * grip)
+    _, firmest = jax.lax.top_k(firmness, room)
+    place = jnp.full(u.shape[1], room).at[firmest].set(jnp.arange(room))[nodes]
+    # A contact that is not known whole would tie the nodes that are known to a fixed point.
+    whole = jnp.all((place < room) | ((weights == 0.0) & (touching.weights == 0.0)), axis=0)
+    stiff, grip = (jnp.where(whole, part, 0.0) for part in (stiff, grip))
+    along = jnp.eye(3)[..., None] - touching.normal[:, None] * touching.normal
+    # (end, end, xyz, xyz, c)
+    pushed = (weights[:, None] * weights)[:, :, None, None] * (stiff * normal[:, None] * normal)
+    rubbed = (touching.weights[:, None] * touching.weights)[:, :, None, None] * (grip * along)
+    added = pushed + rubbed
+    axes, one, other = jnp.arange(3), place[:, None, None, None], place[None, :, None, None]
+    blocks = jnp.zeros((room, 3, room, 3), added.dtype)
+    blocks = blocks.at[one, axes[:, None, None], other, axes[:, None]].add(added, mode="drop")
+    return PairStiffness(firmest, blocks)
 
 
 def _nodes(pairs: ContactPairs) -> Array:
