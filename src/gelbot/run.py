@@ -117,14 +117,14 @@ def march(
     scenario = experiment.scenario
     period = scenario.programme.control_period
     per_chunk, left = (round(t / period) for t in (scenario.recording.chunk, scenario.simulation.duration))
-    memory, dt = _memory(experiment, state), _time_step(experiment, state)
+    memory, (dt, error) = _memory(experiment, state), _time_steps(experiment, state)
     while left > 0:
         count = min(per_chunk, left)
         model = disturbed(experiment, model, state.positions)
         if count not in compiled:
             compiled[count] = _compiled(experiment, model, state, memory, count, times)
         began = clock.perf_counter()
-        state, memory, frames = jax.block_until_ready(compiled[count](model, state, memory, dt))
+        state, memory, frames = jax.block_until_ready(compiled[count](model, state, memory, dt, step_error=error))
         times["wall_s"] += clock.perf_counter() - began
         left -= count
         yield frames
@@ -135,8 +135,8 @@ def _compiled(
 ) -> Any:
     simulation, period = experiment.scenario.simulation, experiment.scenario.programme.control_period
     began = clock.perf_counter()
-    steps, dt = round(period / simulation.time_step), _time_step(experiment, state)
-    program = rollout.lower(model, state, play, memory, dt, count, steps).compile()
+    steps, (dt, error) = round(period / simulation.time_step), _time_steps(experiment, state)
+    program = rollout.lower(model, state, play, memory, dt, count, steps, step_error=error).compile()
     times["compile_s"] += clock.perf_counter() - began
     return program
 
@@ -146,8 +146,11 @@ def _memory(experiment: Experiment, state: State) -> Playing:
     return Playing(experiment.programme, begin(observe(experiment.model.points, state.positions)))
 
 
-def _time_step(experiment: Experiment, state: State) -> jax.Array:
-    return jnp.asarray(experiment.scenario.simulation.time_step, state.positions.dtype)
+def _time_steps(experiment: Experiment, state: State) -> tuple[jax.Array, jax.Array | None]:
+    """The time step [s], and the error [m] by which it adapts, None where it does not."""
+    simulation, dtype = experiment.scenario.simulation, state.positions.dtype
+    error = None if simulation.step_error is None else jnp.asarray(simulation.step_error, dtype)
+    return jnp.asarray(simulation.time_step, dtype), error
 
 
 def _last_height(frames: Frame) -> np.floating[Any]:
@@ -225,6 +228,7 @@ def frames_part(experiment: Experiment, frames: Frame) -> xr.Dataset:
         "amplitude": ((), command.amplitude, "V", "amplitude E of the applied voltages"),
         "phase": ((), command.phase, "1", "phase of the programme"),
         "iterations": ((), frames.report.iterations, "1", "most iterations of a step"),
+        "steps": ((), frames.steps, "1", "time steps of the control period"),
         "residual": ((), frames.report.residual, "1", "largest residual of a step, relative to the net weight"),
     }
     return xr.Dataset(

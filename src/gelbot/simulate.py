@@ -26,6 +26,8 @@ FRESH = 4
 STALE = 30
 """Iterations beyond `FRESH`, added up over the steps, after which a new preconditioner pays for itself; the mean of a
 batch, all of which get theirs at once."""
+HALVINGS_MOST = 10
+"""A control period is divided by 2 to this, at most: a step that is still too far off then is taken as it is."""
 
 
 class Gel(NamedTuple):
@@ -58,6 +60,7 @@ class Model(NamedTuple):
 class State(NamedTuple):
     """All that changes: `time` [s], `positions` [m] and `velocities` [m/s] (3, n), `ads` (f,).
 
+    `halvings`: where time steps adapt, a control period divided by 2 to this is the next one's try.
     `near` is the solver's warm start, and `strain` the iterations it has cost by being old; `pairs` lists the parts of
     the body that may soon meet, None where it cannot meet itself. They change how fast a step is solved, not its
     solution.
@@ -70,6 +73,7 @@ class State(NamedTuple):
     near: Preconditioner
     strain: Array
     pairs: ContactPairs | None
+    halvings: Array
 
 
 class StepReport(NamedTuple):
@@ -84,9 +88,10 @@ class StepReport(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """What is recorded once per control period, at its end; the voltages [V] (e,) held during it, worst step's report.
+    """What is recorded once per control period, at its end; the voltages [V] (e,) held during it.
 
-    `command` is what the controller says of itself (phase, reference, amplitude).
+    `command` is what the controller says of itself (phase, reference, amplitude); `report` is the worst of the period's
+    `steps`.
     """
 
     time: Array
@@ -96,6 +101,7 @@ class Frame(NamedTuple):
     observation: Observation
     command: Any
     report: StepReport
+    steps: Array
 
 
 def face_geometry(positions: Array, faces: Array) -> tuple[Array, Array]:
@@ -136,7 +142,8 @@ def step(model: Model, state: State, field: AppliedField, dt: Array) -> tuple[St
         model.mechanics, state.positions, state.velocities, rest, dt, state.near, frame, is_old, state.pairs
     )
     strain = jnp.where(is_old, 0, state.strain) + jnp.maximum(found.iterations - FRESH, 0)
-    after = State(state.time + dt, found.x, (found.x - state.positions) / dt, ads, near, strain, pairs)
+    velocities = (found.x - state.positions) / dt
+    after = State(state.time + dt, found.x, velocities, ads, near, strain, pairs, state.halvings)
     missed = jnp.zeros_like(found.iterations) if pairs is None else pairs.missed
     return after, StepReport(found.iterations, found.residual, missed)
 
@@ -154,6 +161,7 @@ def start(model: Model, positions: Array) -> State:
         near=no_preconditioner(model.mechanics, batch),
         strain=jnp.full(batch, STALE + 1),
         pairs=None if surface is None else find_pairs(surface, positions, body_frame(model.points, positions)),
+        halvings=jnp.asarray(0),
     )
 
 
@@ -161,12 +169,79 @@ Controller: TypeAlias = Callable[[Any, Array, Observation], tuple[Any, Array, An
 """(memory, time [s], observation) -> (memory, voltages [V] (e,), what to record of it)."""
 
 
+def _equal_steps(model: Model, state: State, field: AppliedField, dt: Array, count: int) -> tuple[State, StepReport]:
+    """`count` steps `dt` [s], and the worst of their reports."""
+    state, report = jax.lax.scan(lambda s, _: step(model, s, field, dt), state, None, length=count)
+    return state, jax.tree.map(lambda values: jnp.max(values, axis=0), report)
+
+
+class _Period(NamedTuple):
+    """A control period on the way: `ticks` of its 2^HALVINGS_MOST are over, after `steps` steps; their worst report."""
+
+    state: State
+    ticks: Array
+    steps: Array
+    worst: StepReport
+
+
+def step_errors(before: State, after: State, dt: Array) -> Array:
+    """How far off a step `dt` [s] is, at most, of any node [m]; shape () or (b,).
+
+    Implicit Euler's own error is x" dt^2 / 2 (Hairer and Wanner, Solving Ordinary Differential Equations II, IV.8),
+    with the change of the velocity for x" dt.
+    """
+    change = after.velocities - before.velocities
+    return 0.5 * dt * jnp.sqrt(jnp.max(dot(change, change), axis=0))
+
+
+def _adapted_steps(
+    model: Model, state: State, field: AppliedField, period: Array, allowed: Array
+) -> tuple[State, StepReport, Array]:
+    """A whole `period` [s] in steps whose `step_errors` are `allowed` [m]: a step that is not is tried again, halved.
+
+    They are the period divided by powers of two, at most `HALVINGS_MOST`, and end where twice as long ones would: so
+    that the period's end is always met. The longest step follows from the last one, also into the next period.
+    """
+    whole = 2**HALVINGS_MOST
+    size, count = state.positions.shape[2:], jnp.asarray(0)
+    none = StepReport(jnp.zeros(size, int), jnp.zeros(size, state.positions.dtype), jnp.zeros(size, int))
+
+    def advance(at: _Period) -> _Period:
+        before, halvings = at.state, at.state.halvings
+        dt = period / 2.0**halvings
+        after, report = step(model, before, field, dt.astype(before.positions.dtype))
+        error = jnp.max(step_errors(before, after, dt))
+        solved = jnp.all(report.residual <= model.mechanics.tolerance)
+        good = ((error <= allowed) & solved) | (halvings >= HALVINGS_MOST)
+        ticks = jnp.where(good, at.ticks + whole // 2**halvings, at.ticks)
+        # Twice as long has four times the error, and must begin where such a step may.
+        longer = (error <= 0.25 * allowed) & (halvings > 0) & (ticks % jnp.maximum(1, 2 * whole // 2**halvings) == 0)
+        halvings = jnp.where(good, halvings - longer, halvings + 1)
+        # What has been learned of the solver is kept in any case.
+        chosen = jax.tree.map(lambda new, old: jnp.where(good, new, old), after, before)
+        chosen = chosen._replace(near=after.near, strain=after.strain, pairs=after.pairs, halvings=halvings)
+        worst = jax.tree.map(lambda new, old: jnp.where(good, jnp.maximum(new, old), old), report, at.worst)
+        return _Period(chosen, ticks, at.steps + good, worst)
+
+    end = jax.lax.while_loop(lambda at: at.ticks < whole, advance, _Period(state, count, count, none))
+    # Added up from parts, the time would not be the same as with equal steps.
+    return end.state._replace(time=state.time + period), end.worst, end.steps
+
+
 @partial(jax.jit, static_argnames=("controller", "periods", "steps_per_period"))
 def rollout(
-    model: Model, state: State, controller: Controller, memory: Any, dt: Array, periods: int, steps_per_period: int
+    model: Model,
+    state: State,
+    controller: Controller,
+    memory: Any,
+    dt: Array,
+    periods: int,
+    steps_per_period: int,
+    step_error: Array | None = None,
 ) -> tuple[State, Any, Frame]:
     """`periods` control periods of `steps_per_period` steps `dt` [s], compiled as one scan.
 
+    With a `step_error` [m], each period is divided so that no step is farther off than that (`step_errors`) instead.
     The controller sees the body at the beginning of each period, and its voltages are held to the end of it. Returns
     the last state, the controller's memory and the frames, period first.
     """
@@ -175,10 +250,13 @@ def rollout(
         state, memory = carry
         memory, voltages, command = controller(memory, state.time, observe(model.points, state.positions))
         field = apply(model, voltages)
-        state, report = jax.lax.scan(lambda s, _: step(model, s, field, dt), state, None, length=steps_per_period)
-        worst = jax.tree.map(lambda values: jnp.max(values, axis=0), report)
+        if step_error is None:
+            (state, worst), steps = _equal_steps(model, state, field, dt, steps_per_period), steps_per_period
+        else:
+            state, worst, steps = _adapted_steps(model, state, field, dt * steps_per_period, step_error)
         seen = observe(model.points, state.positions)
-        return (state, memory), Frame(state.time, state.positions, state.ads, voltages, seen, command, worst)
+        frame = Frame(state.time, state.positions, state.ads, voltages, seen, command, worst, jnp.asarray(steps))
+        return (state, memory), frame
 
     (state, memory), frames = jax.lax.scan(period, (state, memory), None, length=periods)
     return state, memory, frames

@@ -202,6 +202,7 @@ class Programme(Table):
 class Simulation(Table):
     """How it is computed: `duration` and `time_step` [s]; residual `tolerance` of the implicit step.
 
+    `step_error` [m]: where given, the time step adapts, so that no node is farther off in a step than that.
     `field_spacing` [m]: cells of the table from which the body reads the field.
     """
 
@@ -210,6 +211,7 @@ class Simulation(Table):
     tolerance: Annotated[float, Number(gt=0, lt=1)]
     max_iterations: Annotated[int, Count(ge=1)]
     precision: Literal["float64", "float32"]
+    step_error: Annotated[float, Dimension("m", ge=1e-9, le=1e-2)] | None = None
     field_spacing: Annotated[float, Dimension("m", ge=1e-4, le=5e-3)] = 1e-3
 
 
