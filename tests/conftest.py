@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from gelbot.engine import prepare_engine
 
-# Tests leave nothing in the user's cache.
+# Tests leave nothing in the user's cache; `compiled_once` has a folder of their own.
 os.environ["JAX_COMPILATION_CACHE_DIR"] = ""
 
 prepare_engine()  # before anything is computed
@@ -46,6 +46,19 @@ settings.load_profile("gelbot")
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "slow: takes more than a few seconds")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled_once(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """What one worker has compiled serves the others, and the commands that tests start.
+
+    Everything, for what takes longest in the end are the hundreds of small programs.
+    """
+    base = tmp_path_factory.getbasetemp()
+    folder = str((base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "compiled")
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = folder
+    jax.config.update("jax_compilation_cache_dir", folder)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 @pytest.fixture

@@ -139,7 +139,7 @@ class TestAccuracy:
     def test_no_curl_and_little_divergence(self, lead, rng):
         coefficients = potential_coefficients(lead, jnp.asarray(VOLTAGES[0]))
         inside = jnp.asarray(rng.uniform(LOW[:, None], [[23 * MM], [23 * MM], [9 * MM]], (3, 50)))
-        slope = np.asarray(jax.jacfwd(lambda p: current_density(lead, coefficients, p).sum(axis=1))(inside))
+        slope = np.asarray(jax.jit(jax.jacfwd(lambda p: current_density(lead, coefficients, p).sum(axis=1)))(inside))
         slope = np.moveaxis(slope, 2, 0)
         largest = np.abs(slope).max()
         assert np.abs(slope - slope.transpose(0, 2, 1)).max() < 1e-12 * largest
@@ -200,6 +200,7 @@ class TestBox:
         coefficients = potential_coefficients(lead, jnp.asarray(VOLTAGES[0]))
         rim = jnp.array([[10.3 * MM], [11.7 * MM], [HIGH[2]]])
 
+        @jax.jit
         def slope(points):
             return jax.jacfwd(lambda p: current_density(lead, coefficients, p)[:, 0])(points)[:, :, 0]
 
@@ -224,7 +225,7 @@ class TestDerivatives:
         return jnp.asarray(np.random.default_rng(8).uniform(LOW[:, None], HIGH[:, None], (3, 23)))
 
     def test_current_density_is_the_slope_of_the_potential(self, lead, coefficients, inside):
-        slope = jax.grad(lambda p: potential(lead, coefficients, p).sum())(inside)
+        slope = jax.jit(jax.grad(lambda p: potential(lead, coefficients, p).sum()))(inside)
         assert current_density(lead, coefficients, inside) == pytest.approx(-0.15 * np.asarray(slope), rel=1e-9)
 
     def test_gradient_against_differences(self, lead, coefficients, inside):
@@ -238,7 +239,7 @@ class TestDerivatives:
     @pytest.mark.parametrize("jacobian", [jax.jacfwd, jax.jacrev])
     def test_gradient_against_automatic(self, lead, coefficients, inside, jacobian):
         closed = np.asarray(current_density_gradient(lead, coefficients, inside))
-        whole = np.asarray(jacobian(lambda p: current_density(lead, coefficients, p))(inside))
+        whole = np.asarray(jax.jit(jacobian(lambda p: current_density(lead, coefficients, p)))(inside))
         own = np.einsum("kplp->klp", whole)
         assert own == pytest.approx(closed, rel=1e-9, abs=1e-12 * np.abs(closed).max())
         assert np.abs(whole).sum() == pytest.approx(np.abs(own).sum())
@@ -247,10 +248,11 @@ class TestDerivatives:
         def squares(p):
             return jnp.sum(current_density(lead, coefficients, p) ** 2)
 
+        slope = jax.jit(jax.grad(squares))
         direction = jnp.asarray(np.random.default_rng(9).normal(size=inside.shape))
         step = 1e-8 * direction
-        found = jax.jvp(jax.grad(squares), (inside,), (direction,))[1]
-        differences = (jax.grad(squares)(inside + step) - jax.grad(squares)(inside - step)) / 2e-8
+        found = jax.jit(lambda *at: jax.jvp(jax.grad(squares), *at)[1])((inside,), (direction,))
+        differences = (slope(inside + step) - slope(inside - step)) / 2e-8
         assert found == pytest.approx(np.asarray(differences), rel=1e-4, abs=1e-4 * np.abs(found).max())
 
     @pytest.mark.parametrize("robots", [(), (11,)])
@@ -260,6 +262,7 @@ class TestDerivatives:
         voltages = jnp.asarray(rng.uniform(-10, 10, (16, *robots)))
         weights = jnp.asarray(rng.normal(size=places.shape))
 
+        @jax.jit
         def scalar(places, voltages):
             return jnp.sum(weights * current_density(lead, potential_coefficients(lead, voltages), places) ** 2)
 
@@ -275,6 +278,7 @@ class TestDerivatives:
             assert float(jnp.sum(by_voltage * change)) == pytest.approx(float(changed), rel=1e-6)
 
     def test_forward_and_reverse_agree(self, lead, inside, rng):
+        @jax.jit
         def currents(places, voltages):
             return current_density(lead, potential_coefficients(lead, voltages), places)
 
@@ -306,5 +310,5 @@ class TestBatch:
         def currents(voltages, places):
             return current_density(lead, potential_coefficients(lead, voltages), places)
 
-        mapped = jax.vmap(currents, in_axes=(1, 2), out_axes=2)(voltages, places)
+        mapped = jax.jit(jax.vmap(currents, in_axes=(1, 2), out_axes=2))(voltages, places)
         assert mapped == pytest.approx(np.asarray(currents(voltages, places)), rel=1e-9, abs=1e-9)

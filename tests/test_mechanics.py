@@ -66,6 +66,7 @@ from gelbot.mechanics.springs import (
 MM = 1e-3
 
 
+@jax.jit
 def spring_forces(mech, x, rest):
     return spring_balance(mech.elastic, springs_at(mech.elastic, x, rest), jnp.zeros_like(x))[1]
 
@@ -86,6 +87,12 @@ def energy(mech, x, rest):
     )
 
 
+energy_slope = jax.jit(jax.grad(energy, argnums=1))
+step_balance = jax.jit(balance)
+step_slope = jax.jit(jax.grad(lambda *of: balance(*of)[0], argnums=2))
+inverted = jax.jit(block_inverse)
+
+
 def shaken(body: Body, rng: np.random.Generator, size: float = 0.1 * MM) -> jnp.ndarray:
     return jnp.asarray(body.nodes + size * rng.normal(size=body.nodes.shape))
 
@@ -95,8 +102,8 @@ class TestBlockInverse:
     def test_is_the_inverse(self, size, rng):
         half = rng.normal(size=(size, size))
         matrix = half @ half.T + size * np.eye(size)
-        product = np.asarray(block_inverse(jnp.asarray(matrix))) @ matrix
-        assert product == pytest.approx(np.eye(size), abs=1e-11)
+        product = np.asarray(inverted(jnp.asarray(matrix))) @ matrix
+        assert np.abs(product - np.eye(size)).max() <= 1e-11
 
 
 class TestSprings:
@@ -106,7 +113,7 @@ class TestSprings:
             shaken(sheet, rng),
             mech.elastic.length * jnp.asarray(rng.uniform(0.5, 1.0, mech.elastic.length.shape)),
         )
-        expected = -jax.grad(lambda x: energy(mech, x, rest))(x)
+        expected = -energy_slope(mech, x, rest)
         mine = (
             spring_forces(mech, x, rest)
             + gravity_forces(mech.weight)
@@ -246,8 +253,8 @@ class TestStep:
         x0, v0 = shaken(sheet, rng, 0.02 * MM), jnp.asarray(5 * MM * rng.normal(size=sheet.nodes.shape))
         x, rest = x0 + dt * v0, 0.8 * mech.elastic.length
         begin = begin_step(mech, x0, v0, rest, dt)
-        slope = jax.grad(lambda x: balance(mech, begin, x - x0)[0])(x)
-        assert np.asarray(balance(mech, begin, x - x0)[1]) == pytest.approx(-np.asarray(slope), rel=1e-9, abs=1e-12)
+        forces, slope = step_balance(mech, begin, x - x0)[1], step_slope(mech, begin, x - x0)
+        assert np.asarray(forces) == pytest.approx(-np.asarray(slope), rel=1e-9, abs=1e-12)
 
     @pytest.mark.slow
     def test_preconditioner_inverts_the_stiffness_of_a_stretched_sheet(self, sheet, mechanics):
@@ -258,7 +265,7 @@ class TestStep:
         hessian = jax.hessian(lambda y: balance(mech, begin, y - x)[0])(x).reshape(size, size)
         columns = hessian.T.reshape(size, *x.shape)
         product = np.asarray(jax.vmap(lambda g: apply_inverse(mech, near, jnp.eye(3), g))(columns)).reshape(size, -1).T
-        assert product == pytest.approx(np.eye(size), abs=2e-3)  # single precision, condition number 1e4
+        assert np.abs(product - np.eye(size)).max() <= 2e-3  # single precision, condition number 1e4
 
     def test_falls_like_a_stone_in_syrup(self, sheet, mechanics, marched):
         drag, end = 20.0, 0.2
@@ -316,7 +323,7 @@ class TestStep:
         for k in (0, 1, 50):
             before, moving = (x, v) if k == 0 else (motion.x[k - 1], motion.v[k - 1])
             begin = begin_step(mech, before, moving, 0.9 * mech.elastic.length, dt)
-            left = balance(mech, begin, motion.x[k] - before)[1]
+            left = step_balance(mech, begin, motion.x[k] - before)[1]
             assert float(jnp.linalg.norm(left) / mech.force_scale) == pytest.approx(
                 float(motion.residual[k]), rel=1e-3, abs=1e-9
             )

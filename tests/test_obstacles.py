@@ -101,9 +101,8 @@ class TestObstacles:
         ]
         assert np.asarray(normal) == pytest.approx(np.stack(differences, axis=1), abs=1e-5)
         assert np.linalg.norm(normal, axis=1) == pytest.approx(1.0, abs=1e-12)
-        for k in range(7):
-            slope = jax.jit(jax.grad(lambda x, k=k: jnp.sum(obs.gaps(world, x)[0][k])))(jnp.asarray(x))
-            assert np.asarray(slope) == pytest.approx(np.asarray(normal[k]))
+        slopes = jax.jit(jax.jacrev(lambda x: jnp.sum(obs.gaps(world, x)[0], axis=1)))(jnp.asarray(x))
+        assert np.asarray(slopes) == pytest.approx(np.asarray(normal))
         assert gap.shape == (7, 200)
         assert np.asarray(world.friction) == pytest.approx(0.1 * np.arange(1, 8))
 
