@@ -10,6 +10,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -60,17 +62,19 @@ def test_the_error_of_a_step_is_that_of_implicit_euler(falling: Experiment) -> N
 
 @pytest.mark.slow
 def test_a_smaller_error_is_nearer_to_many_small_steps(falling: Experiment) -> None:
-    fine = np.asarray(fall(falling, None, steps=256).observation.centre)
+    # While it falls: how it hops when it lands depends on what the steps can resolve.
+    fine = np.asarray(fall(falling, None, steps=256).observation.centre)[:4]
     distances, counts = [], []
     for allowed in (1e-4, 1e-5, 1e-6):
         frames = fall(falling, allowed)
         assert np.asarray(frames.time) == pytest.approx(PERIOD * np.arange(1, 9), abs=1e-12)
         assert float(frames.report.residual.max()) <= 1e-5
-        distances.append(np.abs(np.asarray(frames.observation.centre) - fine).max())
+        distances.append(np.abs(np.asarray(frames.observation.centre)[:4] - fine).max())
         counts.append(np.asarray(frames.steps))
-    assert distances[0] < 1e-4 * 8
-    assert distances[1] < 0.6 * distances[0]
-    assert distances[2] < 0.6 * distances[1]
+    # A step's error goes as its square, the motion's as the step: a tenth of the one is a third of the other.
+    assert distances[0] < 1e-4
+    for before, after in pairwise(distances):
+        assert 0.2 < after / before < 0.45
     assert counts[2].sum() > counts[1].sum() > counts[0].sum()
     # Fallen, it lies: one step is enough.
     assert counts[1].max() > 4
