@@ -26,7 +26,7 @@ quick: $(VENV)/dev.stamp ## the tests that take seconds
 lint: $(VENV)/dev.stamp ## style, types, layers
 	$(BIN)/python tools/check.py lint
 
-bench: $(VENV)/gelbot.stamp ## how fast it is: a table, and bench.json; takes minutes, wants a quiet machine
+bench: $(VENV)/bench.stamp ## how fast it is: a table, and bench.json; takes minutes, wants a quiet machine
 	$(BIN)/python benchmarks/run.py
 
 clean: ## remove the environment and all caches; runs/ stays
@@ -51,4 +51,9 @@ $(VENV)/gelbot.stamp: requirements.txt pyproject.toml | $(BIN)/python
 $(VENV)/dev.stamp: requirements-dev.txt $(VENV)/gelbot.stamp
 	@echo "installing what the checks need"
 	@$(PIP_INSTALL) -r requirements-dev.txt
+	@touch $@
+
+$(VENV)/bench.stamp: requirements-bench.txt $(VENV)/gelbot.stamp
+	@echo "installing the peer that the benchmarks measure too"
+	@$(PIP_INSTALL) -r requirements-bench.txt
 	@touch $@

@@ -8,9 +8,11 @@ from __future__ import annotations
 import json
 import os
 import platform
+import shutil
 import subprocess
 import sys
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 HERE = Path(__file__).resolve().parent
-PARTS = ("field", "lead_field")
+PARTS = ("field", "lead_field", "mechanics")
 """The benchmarks, each a program of this folder with a function `rows`."""
 PROGRAM = "import json, {0}; print(json.dumps({0}.rows()))"
 
@@ -43,6 +45,16 @@ def machine() -> dict[str, Any]:
     }
 
 
+def left_out() -> list[str]:
+    """Rows that this machine cannot give, and why."""
+    reasons = []
+    if find_spec("mujoco") is None:
+        reasons.append("MuJoCo is not installed (pip install mujoco-core): no rows of it, and no ratios to it")
+    if shutil.which("nvidia-smi") is None:
+        reasons.append("no GPU at hand: no rows of thousands of robots on one, and none of Newton")
+    return reasons
+
+
 def main() -> int:
     on = machine()
     rows: list[dict[str, Any]] = []
@@ -63,7 +75,11 @@ def main() -> int:
         target = "" if row["target"] is None else f"{row['target']:g} {row['unit']}"
         table.add_row(row["name"], f"{row['value']:.3g} {row['unit']}", target, row.get("note", ""))
     console.print(table)
-    Path("bench.json").write_text(json.dumps({"machine": on, "rows": rows}, indent=2) + "\n", encoding="utf-8")
+    headline = {row.pop("headline"): row["value"] for row in rows if "headline" in row}
+    found = {"machine": on, "headline": headline, "left_out": left_out(), "rows": rows}
+    Path("bench.json").write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    for reason in found["left_out"]:
+        console.print(f"left out: {reason}")
     console.print("written to bench.json")
     return 0
 

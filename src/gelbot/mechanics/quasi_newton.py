@@ -114,7 +114,7 @@ def _advance(
 ) -> _Iterate:
     running = it.norm > tolerance
     # A new direction only now: who has converged needs none.
-    found = -_two_loops(it.gradient, it.steps, it.changes, it.inverse_products, it.newest, precondition)
+    found = -two_loops(it.gradient, it.steps, it.changes, it.inverse_products, it.newest, precondition)
     direction = jnp.where(it.rejected, it.direction, found)
     whole = jnp.ones_like(it.length) if longest is None else longest(it.x, direction)
     length = jnp.where(it.rejected, it.length, whole)
@@ -168,9 +168,13 @@ def _advance(
     )
 
 
-def _two_loops(
+def two_loops(
     q: Array, steps: Array, changes: Array, inverses: Array, newest: Array, precondition: Callable[[Array], Array]
 ) -> Array:
+    """The inverse Hessian times `q`: Algorithm 7.4, with what `precondition` does for its first matrix.
+
+    `steps`, `changes` (MEMORY, ...) and `inverses` (MEMORY[, b]) are the kept pairs, the newest at the place `newest`.
+    """
     pairs = [
         tuple(jax.lax.dynamic_index_in_dim(kept, (newest - k) % MEMORY, keepdims=False) for kept in
               (steps, changes, inverses))

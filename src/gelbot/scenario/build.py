@@ -181,14 +181,14 @@ def working_box(
     return np.array([*low, 0.0]), np.array([*high, ceiling])
 
 
-def build_mechanics(scenario: Scenario, body: Body) -> Mechanics:
-    """Stiffness, masses, weights and contact of the body in its solution."""
+def build_mechanics(scenario: Scenario, body: Body, elastic: Elastic | None = None) -> Mechanics:
+    """Stiffness, masses, weights and contact of the body in its solution; of the scenario's material, or `elastic`."""
     material, solution, simulation = scenario.material, scenario.solution, scenario.simulation
     weight = net_weight(body.node_volume, material.density, solution.density)
     heaviest = np.maximum(np.abs(weight), LIGHTEST * net_weight(body.node_volume, material.density, 0.0))
     layer = CONTACT_LAYER * body.thickness
     firm = FIRM_WEIGHTS * heaviest.sum() + FIRM_STRESS * material.young_modulus * body.thickness**2
-    elastic = build_elastic(scenario, body)
+    elastic = build_elastic(scenario, body) if elastic is None else elastic
     own_friction = scenario.tank.friction if material.self_friction is None else material.self_friction
     return Mechanics(
         elastic=elastic,
