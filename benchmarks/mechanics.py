@@ -370,7 +370,7 @@ def parts(precision: str) -> Rows:
         return u + (1e-30 * made.factor.inverses[-1][0, 0, 0]).astype(u.dtype)
 
     begin = begin_step(mech, x, state.velocities, rest, dt)
-    small = jnp.asarray(1e-12, precision)
+    small, place = jnp.asarray(1e-12, precision), jnp.asarray(0)
     numbers = sum(a.size for a in jax.tree.leaves(near.factor))
     springs = mech.elastic.length.size
     table = {
@@ -378,7 +378,7 @@ def parts(precision: str) -> Rows:
                                        f"{springs:,} springs, once an iteration: gathers, one number at a time"),
         "apply_inverse": (lambda g: 1e-3 * apply_inverse(mech, near, frame, g), zero + 1e-6, 200,
                           f"once an iteration: reads {4e-6 * numbers:.2f} MB of float32"),
-        "two_loops": (lambda g: 1e-3 * two_loops(g, pairs, pairs, jnp.ones(MEMORY, precision), 0, lambda q: q),
+        "two_loops": (lambda g: 1e-3 * two_loops(g, pairs, pairs, jnp.ones(MEMORY, precision), place, lambda q: q),
                       zero + 1e-6, 200, "once an iteration, without the inverse"),
         "build_preconditioner": (factor, zero, 10, "every some tens of iterations: float64, arithmetic"),
         "surface_inflow": (lambda x: x + small * jnp.sum(surface_inflow(model, x, field)), x, 100,
@@ -412,7 +412,8 @@ def rows() -> Rows:
     """The rows of the benchmark's table."""
     table = [found for case in CASES for found in _measured(case)]
     grown = [one for one in table if "nodes" in one]
-    slope = np.polyfit(*(np.log([one[key] for one in grown]) for key in ("nodes", "value")), 1)[0]
+    sizes, times = (np.log([one[key] for one in grown]) for key in ("nodes", "value"))
+    slope = float(np.polyfit(sizes, times, 1)[0])
     largest = min(grown, key=lambda one: abs(math.log(one["nodes"] / 10_000)))
     for one in grown:
         del one["nodes"]

@@ -444,7 +444,9 @@ class TestBuild:
         seen = jax.tree.map(lambda a: a[None], observe(some.model.points, some.state.positions))
         command = Command(*[np.zeros(1)] * len(Command._fields))
         state, report = some.state, StepReport(np.ones(1), np.zeros(1), np.zeros(1, int))
-        frames = Frame(np.ones(1), state.positions[None], state.ads[None], voltages, seen, command, report)
+        frames = Frame(
+            np.ones(1), state.positions[None], state.ads[None], voltages, seen, command, report, np.ones(1, int)
+        )
         part = frames_part(some, frames)
         assert part["voltage"].values == pytest.approx(voltages)
         assert part["electrode_potential"].values == pytest.approx(voltages @ some.connection.T)

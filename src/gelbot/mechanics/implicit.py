@@ -231,7 +231,7 @@ def solve_step(
 
     batch = x0.shape[2:]
     # That all moves on is a good first guess, but not into an obstacle.
-    free = jnp.min(gaps(mech.obstacles, x0 + dt * v0)[0], axis=(0, 1)) > -mech.contact_layer
+    free = jnp.all(gaps(mech.obstacles, x0 + dt * v0)[0] > -mech.contact_layer, axis=(0, 1))
     guess = jnp.where(free, dt * v0, 0.0) if pairs is None else jnp.zeros_like(x0)
     first = Solution(guess, jnp.full(batch, jnp.inf, x0.dtype), jnp.zeros(batch, int))
     found, near, _, pairs = jax.lax.while_loop(unfinished, attempt, (first, near, jnp.asarray(is_old), pairs))
