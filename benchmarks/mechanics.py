@@ -102,7 +102,7 @@ class Ramp:
         dt_ = self.cast(jnp.asarray(self.total / steps, jnp.float64))
         times = self.cast(dt_ * jnp.arange(1, (self.limit or steps) + 1, dtype=jnp.float64))
 
-        def one(carry: Any, now: Any) -> tuple[Any, Any]:
+        def one(mech: Any, carry: Any, now: Any) -> tuple[Any, Any]:
             x, v, near, strain = carry
             share = 1.0 - (1.0 - peer.SHRUNK) * jnp.minimum(1.0, now / peer.RAMP)
             rest = mech.elastic.length * jnp.where(self.lower, share, 1.0)
@@ -111,13 +111,13 @@ class Ramp:
             strain = jnp.where(is_old, 0, strain) + jnp.maximum(found.iterations - FRESH, 0)
             return (found.x, (found.x - x) / dt_, near, strain), (found.iterations, found.residual)
 
-        def ramp(x: Any) -> tuple[Any, Any, Any]:
+        def ramp(mech: Any, x: Any) -> tuple[Any, Any, Any]:
             start = (x, jnp.zeros_like(x), no_preconditioner(mech, ()), jnp.asarray(STALE + 1))
-            (x, *_), (iterations, residual) = jax.lax.scan(one, start, times)
+            (x, *_), (iterations, residual) = jax.lax.scan(partial(one, mech), start, times)
             return x, iterations, residual
 
-        program = jax.jit(ramp).lower(self.nodes).compile()
-        return lambda: jax.block_until_ready(program(self.nodes))
+        program = jax.jit(ramp).lower(mech, self.nodes).compile()
+        return lambda: jax.block_until_ready(program(mech, self.nodes))
 
 
 def best_time(run: Callable[[], Any], repeats: int = REPEATS) -> float:

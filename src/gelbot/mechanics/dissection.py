@@ -36,7 +36,7 @@ class Level(NamedTuple):
 
     `pivots` (B, s): nodes, or the node count where a front has fewer. `columns` (B, s + t, s, k): where to find the
     3 x 3 blocks whose sum each block of the front's matrix in the columns of its pivots is, in the matrix's blocks
-    followed by what the levels below leave; `rest` (B, t, t, k): the same for its border, to which only they add.
+    followed by what the level below leaves; `rest` (B, t, t, k): the same for its border, to which only they add.
     `inputs` (B, s + t, k): where to find, in what the levels below leave to their borders, the forces to add.
     `outputs` (B, t): where the border's nodes stand in the solution, the levels above first.
     """
@@ -208,11 +208,12 @@ def _tables(fronts: list[Front], n: int, pairs: Ints) -> Dissection:
              for g in groups]  # fmt: skip
     # Where a front's blocks and border begin in what the levels below leave.
     blocks_at, border_at = {}, {}
-    next_block, next_border = n + 2 * count + 1, 1
+    next_border = 1
     for group, (_, t) in zip(groups, sizes, strict=True):
-        for k in group:
-            blocks_at[k], border_at[k] = next_block, next_border
-            next_block, next_border = next_block + t * t, next_border + t
+        for row, k in enumerate(group):
+            # Only the level above asks for them: its fronts' children are all in this one.
+            blocks_at[k], border_at[k] = n + 2 * count + 1 + row * t * t, next_border
+            next_border += t
     # The solution holds the levels from the last front down.
     order = np.zeros(n, dtype=np.int64)
     start = 0

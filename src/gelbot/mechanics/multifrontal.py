@@ -30,7 +30,8 @@ class Factor(NamedTuple):
 def factorise(dissection: Dissection, diagonal: Array, pairs: Array, dtype: jnp.dtype) -> Factor:
     """Factor of the matrix with 3 x 3 blocks `diagonal` (n, 3, 3) and `pairs` (c, 3, 3), kept as `dtype`."""
     zero = jnp.zeros((1, 3, 3), diagonal.dtype)
-    found = jnp.concatenate([zero, diagonal, pairs, pairs.transpose(0, 2, 1)]).reshape(-1, 9)
+    given = jnp.concatenate([zero, diagonal, pairs, pairs.transpose(0, 2, 1)]).reshape(-1, 9)
+    found = given
     inverses, transfers = [], []
     for level in dissection.levels:
         s, t = 3 * level.pivots.shape[1], level.outputs.shape[1]
@@ -47,7 +48,7 @@ def factorise(dissection: Dissection, diagonal: Array, pairs: Array, dtype: jnp.
             if level.rest.shape[-1]:
                 left = left + _front_blocks(found, level.rest)
             left = left.reshape(-1, t, 3, t, 3).transpose(0, 1, 3, 2, 4).reshape(-1, 9)
-            found = jnp.concatenate([found, left])
+            found = jnp.concatenate([given, left])
     return Factor(tuple(inverses), tuple(transfers))
 
 
