@@ -44,6 +44,8 @@ SIZES = {0.82e-3: 300, 0.43e-3: 1_000, 0.235e-3: 3_000, 0.125e-3: 10_000, 0.0715
 GROWTH_STEPS = 10
 TICKS, TICK = 2_000, 0.02
 """Control ticks that are timed, and the time that each simulates [s]."""
+GRADIENT_PERIODS, GRADIENT_TOLERANCE = 50, 1e-6
+"""Control periods of the motion that is differentiated, and the residual of its steps."""
 MOTION = 60.0
 """What the paper's turn-over takes [s]."""
 
@@ -338,6 +340,46 @@ def compiled_in() -> float:
     return times["compile_s"]
 
 
+def gradient() -> Rows:
+    """The derivative of a point of the body by all voltages and the material, against the motion alone."""
+    import jax
+    import jax.numpy as jnp
+
+    from gelbot.gradient import trajectory
+    from gelbot.plan.templates import template
+
+    experiment, _ = _turn_over(f"simulation.tolerance={GRADIENT_TOLERANCE:g}")
+    model, state, dt = experiment.model, experiment.state, jnp.asarray(experiment.scenario.simulation.time_step)
+    ridge = template("ridge", experiment.array, np.array(experiment.scenario.body.pose.position))
+    pulled = 8.0 * jnp.asarray(ridge)
+
+    def height(volts: Any, p_ele: Any, p_l: Any) -> Any:
+        changed = model._replace(gel=model.gel._replace(p_ele=p_ele, p_l=p_l))
+        return (trajectory(changed, state.positions, volts, dt, 2)[-1] @ model.points.centre)[2]
+
+    def measured(periods: int, function: Callable[..., Any]) -> tuple[float, float]:
+        given = (jnp.tile(pulled, (periods, 1)), model.gel.p_ele, model.gel.p_l)
+        program = jax.jit(function).lower(*given).compile()
+        found = jax.block_until_ready(program(*given))
+        assert all(bool(jnp.all(jnp.isfinite(one))) for one in jax.tree.leaves(found))
+        memory = program.memory_analysis()
+        wall = best_time(lambda: jax.block_until_ready(program(*given)), 3)
+        return wall, 1e-6 * (0.0 if memory is None else memory.temp_size_in_bytes)
+
+    slope = jax.grad(height, argnums=(0, 1, 2))
+    forward, _ = measured(GRADIENT_PERIODS, height)
+    backward, memory = measured(GRADIENT_PERIODS, slope)
+    _, twice = measured(2 * GRADIENT_PERIODS, slope)
+    steps = 2 * GRADIENT_PERIODS
+    note = f"{on_one_core('float64')}, {steps} steps, residual {GRADIENT_TOLERANCE:g}"
+    return [
+        row("motion alone", forward, "s", None, note),
+        row("its derivative over the motion alone", backward / forward, "x", None,
+            f"{note}; less than 5 wanted; by {16 * GRADIENT_PERIODS:,} voltages and the material"),
+        row("memory of the derivative", memory, "MB", None, f"{twice:.1f} MB for twice the steps"),
+    ]  # fmt: skip
+
+
 def parts(precision: str) -> Rows:
     """What one robot's step is made of, on the shape that it has at 38 s."""
     import jax
@@ -398,6 +440,7 @@ CASES: dict[str, Callable[[], Rows]] = {
     "tick": tick,
     "turn_over": partial(turn_over, "float64"),
     "turn_over_single_precision": partial(turn_over, "float32"),
+    "gradient": gradient,
     "compile": compile_,
     "parts": partial(parts, "float64"),
 }
