@@ -355,7 +355,8 @@ def gradient() -> Rows:
 
     def height(volts: Any, p_ele: Any, p_l: Any) -> Any:
         changed = model._replace(gel=model.gel._replace(p_ele=p_ele, p_l=p_l))
-        return (trajectory(changed, state.positions, volts, dt, 2)[-1] @ model.points.centre)[2]
+        positions: Any = trajectory(changed, state.positions, volts, dt, 2)
+        return (positions[-1] @ model.points.centre)[2]
 
     def measured(periods: int, function: Callable[..., Any]) -> tuple[float, float]:
         given = (jnp.tile(pulled, (periods, 1)), model.gel.p_ele, model.gel.p_l)
