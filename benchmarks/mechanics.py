@@ -198,7 +198,7 @@ def ensemble(count: int) -> Rows:
     # The first robot of a process warms it up.
     alone = list(march_all(loaded, scatter(9), processes=1))[1:]
     assert all(one.converged for one in alone)
-    single_rate = steps / float(np.mean([one.wall_s for one in alone]))
+    single_rate = steps / float(np.mean([one.summary["wall_s"] for one in alone]))
     # From the first robot that is ready to the last one: what building and compiling take is not counted.
     ready, converged = [], True
     for one in march_all(loaded, scatter(count)):
@@ -275,16 +275,13 @@ def tick() -> Rows:
 
 def _turn_over(*changes: str) -> Any:
     """The experiment turn-over and its programme at the beginning."""
-    from gelbot.control.programme import Playing, begin
     from gelbot.engine import prepare_engine
-    from gelbot.points import observe
     from gelbot.scenario import load
-    from gelbot.scenario.build import build
+    from gelbot.scenario.build import begun, build
 
     prepare_engine()
     experiment = build(load("turn-over", changes).scenario)
-    memory = Playing(experiment.programme, begin(observe(experiment.model.points, experiment.state.positions)))
-    return experiment, memory
+    return experiment, begun(experiment, experiment.state)
 
 
 def turn_over(precision: str) -> Rows:
@@ -336,7 +333,8 @@ def compiled_in() -> float:
     prepare_engine()
     keep_compiled()
     times = {"wall_s": 0.0, "compile_s": 0.0}
-    first_program(build(load("turn-over").scenario), times)
+    experiment = build(load("turn-over").scenario)
+    first_program(experiment, experiment.model, times)
     return times["compile_s"]
 
 

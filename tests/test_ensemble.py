@@ -14,11 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gelbot.control.programme import Playing, begin, play
+from gelbot.control.programme import play
 from gelbot.ensemble import Robots, march_all, moved, scattered
-from gelbot.points import observe
 from gelbot.scenario import load
-from gelbot.scenario.build import build
+from gelbot.scenario.build import begun, build
 from gelbot.simulate import rollout
 
 SHORT = ('simulation.duration="1 s"', 'body.mesh_size="1.5 mm"', "electrodes.panels=6")
@@ -34,7 +33,7 @@ def test_an_unchanged_robot_is_the_experiment_itself() -> None:
     loaded = load("dome", SHORT)
     (one,) = march_all(loaded, PLAIN, processes=1)
     experiment = build(loaded.scenario)
-    memory = Playing(experiment.programme, begin(observe(experiment.model.points, experiment.state.positions)))
+    memory = begun(experiment, experiment.state)
     step, period = loaded.scenario.simulation.time_step, loaded.scenario.programme.control_period
     _, _, frames = rollout(
         experiment.model, experiment.state, play, memory, jnp.asarray(step), round(1.0 / period), round(period / step)

@@ -35,14 +35,13 @@ from typer.testing import CliRunner
 
 from gelbot.body.symmetry import reflection
 from gelbot.cli import app
-from gelbot.control.programme import Playing, begin, play
+from gelbot.control.programme import play
 from gelbot.field.lead_field import LeadField
-from gelbot.points import observe
 from gelbot.record.run_store import open_run
 from gelbot.record.summary import summarise
 from gelbot.run import frames_part, run_scenario
 from gelbot.scenario import built_in_text, load
-from gelbot.scenario.build import Experiment, build
+from gelbot.scenario.build import Experiment, begun, build
 from gelbot.simulate import Frame, apply, face_geometry, rollout, surface_inflow
 
 MM = 1e-3
@@ -104,7 +103,7 @@ class Motion(NamedTuple):
 def moved(name: str, *changes: str) -> Motion:
     """The scenario `name` with `changes`, simulated."""
     experiment = build(load(name, changes).scenario)
-    memory = Playing(experiment.programme, begin(observe(experiment.model.points, experiment.state.positions)))
+    memory = begun(experiment, experiment.state)
     return Motion(experiment, simulated(experiment, play, memory))
 
 

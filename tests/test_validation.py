@@ -36,15 +36,14 @@ from scipy.spatial.transform import Rotation
 from elastica import elastica
 from gelbot.body.lattice import Body, build_body
 from gelbot.body.outline import starfish, strip
-from gelbot.control.programme import Playing, begin, play
+from gelbot.control.programme import play
 from gelbot.mechanics.beam import bending_modulus, lattice_stiffness
 from gelbot.mechanics.implicit import Mechanics, begin_step, build_preconditioner, solve_step
 from gelbot.mechanics.medium import GRAVITY
 from gelbot.mechanics.obstacles import Boxes, Cylinders, Obstacles, Planes, Spheres, gaps, no_obstacles
 from gelbot.mechanics.springs import Lattice, build_lattice
-from gelbot.points import observe
 from gelbot.scenario import load
-from gelbot.scenario.build import build
+from gelbot.scenario.build import begun, build
 from gelbot.simulate import rollout
 
 MM = 1e-3
@@ -359,7 +358,7 @@ def test_mujoco_ends_where_we_end(mechanics):
 def dome_height(*changes: str) -> float:
     """How high the centre of the scenario `dome` is at its end [m]."""
     experiment = build(load("dome", changes).scenario)
-    memory = Playing(experiment.programme, begin(observe(experiment.model.points, experiment.state.positions)))
+    memory = begun(experiment, experiment.state)
     scenario = experiment.scenario
     period, step = scenario.programme.control_period, scenario.simulation.time_step
     periods = round(scenario.simulation.duration / period)

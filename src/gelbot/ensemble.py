@@ -15,6 +15,7 @@ import os
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from functools import cache
 from multiprocessing import get_context
 from typing import Any, NamedTuple
 
@@ -29,8 +30,8 @@ from gelbot.engine import keep_compiled, prepare_engine
 from gelbot.errors import GelbotError
 from gelbot.gradient import stiffened
 from gelbot.record.summary import summarise
-from gelbot.run import Programs, first_program, frames_part, march
-from gelbot.scenario.build import Experiment, build
+from gelbot.run import Programs, frames_part, good_frames, march
+from gelbot.scenario.build import Experiment, build, disturbed
 from gelbot.scenario.load import Loaded
 from gelbot.simulate import Model, start
 
@@ -55,15 +56,13 @@ class Robots(NamedTuple):
 class Outcome(NamedTuple):
     """What became of number `robot`: its `summary` as of a run, whether all steps `converged`, and its `frames`.
 
-    The frames are those of a run folder without positions of nodes and adsorption of faces; `wall_s` [s] is what
-    computing took.
+    The frames are those of a run folder without positions of nodes and adsorption of faces.
     """
 
     robot: int
     summary: dict[str, Any]
     converged: bool
     frames: xr.Dataset
-    wall_s: float
 
 
 def scattered(
@@ -96,12 +95,12 @@ def march_all(loaded: Loaded, robots: Robots, processes: int | None = None) -> I
     count = len(robots.turn)
     wanted = min(count, (os.cpu_count() or 1) if processes is None else processes)
     if wanted <= 1:
-        _prepare(loaded)
-        yield from (_outcome(k, _of(robots, k)) for k in range(count))
+        ready = _prepared(loaded)
+        yield from (_outcome(ready, k, _of(robots, k)) for k in range(count))
         return
     context = get_context("spawn")  # the engine's threads do not survive a fork
-    with ProcessPoolExecutor(wanted, context, _prepare, (loaded,)) as pool:
-        open_ones = {pool.submit(_outcome, k, _of(robots, k)) for k in range(count)}
+    with ProcessPoolExecutor(wanted, context, _give, (loaded,)) as pool:
+        open_ones = {pool.submit(_outcome_of_the_given, k, _of(robots, k)) for k in range(count)}
         try:
             while open_ones:
                 done, open_ones = wait(open_ones, return_when=FIRST_COMPLETED)
@@ -122,38 +121,53 @@ def _of(robots: Robots, index: int) -> Robots:
 
 
 class _Prepared(NamedTuple):
+    """What serves all robots: the scenario made ready, and the programs that the first of them compiles."""
+
     experiment: Experiment
     programs: Programs
 
 
-_prepared: _Prepared | None = None
-"""What a process has built: once, for all of its robots."""
-
-
-def _prepare(loaded: Loaded) -> None:
-    global _prepared
+def _prepared(loaded: Loaded) -> _Prepared:
     prepare_engine()
     keep_compiled()
-    experiment = build(loaded.scenario)
-    _prepared = _Prepared(experiment, first_program(experiment, {"wall_s": 0.0, "compile_s": 0.0}))
+    return _Prepared(build(loaded.scenario), {})
 
 
-def _outcome(index: int, robot: Robots) -> Outcome:
-    assert _prepared is not None
-    experiment, programs = _prepared
+_given: Loaded | None = None
+"""The scenario of a process of robots."""
+
+
+def _give(loaded: Loaded) -> None:
+    global _given
+    _given = loaded
+
+
+@cache
+def _prepared_given() -> _Prepared:
+    """Made with the first robot: what is wrong with the scenario is then said as that robot's error."""
+    assert _given is not None
+    return _prepared(_given)
+
+
+def _outcome_of_the_given(index: int, robot: Robots) -> Outcome:
+    return _outcome(_prepared_given(), index, robot)
+
+
+def _outcome(ready: _Prepared, index: int, robot: Robots) -> Outcome:
+    experiment, programs = ready
     times = {"wall_s": 0.0, "compile_s": 0.0}
     state = start(experiment.model, moved(experiment, robot.shift, float(robot.turn)))
+    model = disturbed(experiment, varied(experiment.model, robot), state.positions)
     chunks = []
-    for frames in march(experiment, varied(experiment.model, robot), state, programs, times):
+    for frames in march(experiment, model, state, programs, times):
         chunks.append(jax.tree.map(np.asarray, frames))
         if not np.isfinite(chunks[-1].positions[-1]).all():
             break
     frames = jax.tree.map(lambda *parts: np.concatenate(parts), *chunks)
-    converged = bool(np.all(frames.report.residual <= experiment.scenario.simulation.tolerance))
+    converged = good_frames(frames, experiment.scenario.simulation.tolerance) == len(frames.time)
     part = frames_part(experiment, frames)
     summary = summarise(part, times["wall_s"], times["compile_s"])
-    kept = part.drop_vars(LEFT_OUT).load()
-    return Outcome(index, summary, converged and not frames.report.missed.any(), kept, times["wall_s"])
+    return Outcome(index, summary, converged, part.drop_vars(LEFT_OUT).load())
 
 
 def moved(experiment: Experiment, shift: NDArray[np.float64], turn: float) -> jax.Array:

@@ -17,7 +17,7 @@ import xarray as xr
 from rich.console import Console
 
 from gelbot import __version__
-from gelbot.control.programme import Playing, begin, play
+from gelbot.control.programme import Playing, play
 from gelbot.engine import keep_compiled, prepare_engine
 from gelbot.errors import BadInput, SimulationFailed
 from gelbot.field.lead_field import working_volume
@@ -26,7 +26,7 @@ from gelbot.points import observe
 from gelbot.record.run_store import RunStore, open_run
 from gelbot.record.summary import summarise
 from gelbot.record.whole_file import write_text
-from gelbot.scenario.build import Experiment, build, disturbed
+from gelbot.scenario.build import Experiment, begun, build, disturbed
 from gelbot.scenario.load import Loaded
 from gelbot.show.progress import RunProgress
 from gelbot.simulate import Frame, Model, State, rollout
@@ -83,10 +83,11 @@ def _simulate(experiment: Experiment, store: RunStore, bar: RunProgress, times: 
     low = float(observe(experiment.model.points, experiment.state.positions).centre[2]) * 1e3
     bar.update(0.0, "compiling", low)
     tolerance = scenario.simulation.tolerance
-    compiled = first_program(experiment, times)
+    model = disturbed(experiment, experiment.model, experiment.state.positions)
+    compiled = first_program(experiment, model, times)
     bar.update(0.0, names[0], low)
-    for frames in march(experiment, experiment.model, experiment.state, compiled, times):
-        count, good = len(frames.time), _good_frames(frames, tolerance)
+    for frames in march(experiment, model, experiment.state, compiled, times):
+        count, good = len(frames.time), good_frames(frames, tolerance)
         kept = slice(every - 1, good, every) if good == count else slice(0, good)
         if good:
             store.append(frames_part(experiment, jax.tree.map(lambda a, kept=kept: np.asarray(a)[kept], frames)))
@@ -99,12 +100,11 @@ Programs: TypeAlias = dict[int, Any]
 """Compiled rollouts by their number of control periods; they serve all robots of an experiment."""
 
 
-def first_program(experiment: Experiment, times: dict[str, float]) -> Programs:
-    """The program that `march` begins with; adds to `times`."""
+def first_program(experiment: Experiment, model: Model, times: dict[str, float]) -> Programs:
+    """The program that `march` of the robot `model` begins with; adds to `times`."""
     simulation, period = experiment.scenario.simulation, experiment.scenario.programme.control_period
     count = round(min(experiment.scenario.recording.chunk, simulation.duration) / period)
-    model = disturbed(experiment, experiment.model, experiment.state.positions)
-    return {count: _compiled(experiment, model, experiment.state, _memory(experiment, experiment.state), count, times)}
+    return {count: _compiled(experiment, model, experiment.state, begun(experiment, experiment.state), count, times)}
 
 
 def march(
@@ -112,15 +112,15 @@ def march(
 ) -> Iterator[Frame]:
     """The scenario's whole programme for the robot `model` from `state`, a recording chunk of frames at a time.
 
+    The `model` comes with the field as the gel disturbs it in `state`; later chunks have theirs from here.
     What is not yet among the `compiled` programs is added; `times` adds up `wall_s` and `compile_s` [s].
     """
     scenario = experiment.scenario
     period = scenario.programme.control_period
     per_chunk, left = (round(t / period) for t in (scenario.recording.chunk, scenario.simulation.duration))
-    memory, (dt, error) = _memory(experiment, state), _time_steps(experiment, state)
+    memory, (dt, error) = begun(experiment, state), _time_steps(experiment, state)
     while left > 0:
         count = min(per_chunk, left)
-        model = disturbed(experiment, model, state.positions)
         if count not in compiled:
             compiled[count] = _compiled(experiment, model, state, memory, count, times)
         began = clock.perf_counter()
@@ -128,6 +128,8 @@ def march(
         times["wall_s"] += clock.perf_counter() - began
         left -= count
         yield frames
+        if left > 0:
+            model = disturbed(experiment, model, state.positions)
 
 
 def _compiled(
@@ -139,11 +141,6 @@ def _compiled(
     program = rollout.lower(model, state, play, memory, dt, count, steps, step_error=error).compile()
     times["compile_s"] += clock.perf_counter() - began
     return program
-
-
-def _memory(experiment: Experiment, state: State) -> Playing:
-    """The programme at its beginning."""
-    return Playing(experiment.programme, begin(observe(experiment.model.points, state.positions)))
 
 
 def _time_steps(experiment: Experiment, state: State) -> tuple[jax.Array, jax.Array | None]:
@@ -158,7 +155,7 @@ def _last_height(frames: Frame) -> np.floating[Any]:
     return np.asarray(frames.observation.centre)[-1, 2]
 
 
-def _good_frames(frames: Frame, tolerance: float) -> int:
+def good_frames(frames: Frame, tolerance: float) -> int:
     """How many frames, from the first, are converged and finite, with room for all contacts."""
     residual, missed = np.asarray(frames.report.residual), np.asarray(frames.report.missed)
     good = (residual <= tolerance) & (missed == 0) & np.all(np.isfinite(np.asarray(frames.positions)), axis=(1, 2))

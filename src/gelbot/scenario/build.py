@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gelbot.body.lattice import Body, build_body
 from gelbot.body.quadratic import with_midpoints
 from gelbot.body.symmetry import rotation
-from gelbot.control.programme import Phases, Programme
+from gelbot.control.programme import Phases, Playing, Programme, begin
 from gelbot.field.charge import FieldSolution, build_problem, solve
 from gelbot.field.circuit import connection
 from gelbot.field.electrodes import ElectrodeArray
@@ -30,7 +30,7 @@ from gelbot.mechanics.solid import build_solid
 from gelbot.mechanics.springs import build_lattice
 from gelbot.plan.templates import template
 from gelbot.plan.trajectory import rise
-from gelbot.points import essential_points
+from gelbot.points import essential_points, observe
 from gelbot.scenario.placement import mounted
 from gelbot.scenario.schema import Scenario
 from gelbot.scenario.surroundings import check_free, obstacles
@@ -97,6 +97,11 @@ def build(scenario: Scenario) -> Experiment:
     state = start(model, positions)
     programme = cast(build_programme(scenario, array))
     return Experiment(scenario, body, array, field, connected, error, model, state, programme)
+
+
+def begun(experiment: Experiment, state: State) -> Playing:
+    """The programme at its beginning, for the robot that is in `state`: the memory of `control.programme.play`."""
+    return Playing(experiment.programme, begin(observe(experiment.model.points, state.positions)))
 
 
 def electrode_array(scenario: Scenario) -> ElectrodeArray:
