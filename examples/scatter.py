@@ -10,10 +10,12 @@ Each robot's outcome is a line; the last one counts who turned over, and who als
 from __future__ import annotations
 
 import argparse
+import sys
 
 import numpy as np
 
 from gelbot.ensemble import Outcome, march_all, scattered
+from gelbot.errors import GelbotError
 from gelbot.scenario import load
 
 STAYS = 10.0
@@ -62,9 +64,12 @@ if __name__ == "__main__":
     parser.add_argument("--processes", type=int, help="how many at once; as many as the machine has cores if left out")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     given = parser.parse_args()
-    found = study(
-        given.scenario, given.set, given.runs, given.shift, given.turn, given.p_ele, given.seed, given.processes
-    )
+    try:
+        found = study(
+            given.scenario, given.set, given.runs, given.shift, given.turn, given.p_ele, given.seed, given.processes
+        )
+    except GelbotError as error:
+        sys.exit(f"scatter.py: {error}")
     over = sum(one.summary["t_transition_s"] is not None for one in found)
     stays = sum(one.summary["stayed_over_s"] >= STAYS for one in found)
     print(f"turned over: {over} of {len(found)}; turned over and stayed so for {STAYS:.0f} s: {stays} of {len(found)}")

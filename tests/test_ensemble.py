@@ -10,12 +10,16 @@
 
 from __future__ import annotations
 
+import pickle
+import re
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from gelbot.control.programme import play
 from gelbot.ensemble import Robots, march_all, moved, scattered
+from gelbot.errors import BadInput, GelbotError, SimulationFailed
 from gelbot.scenario import load
 from gelbot.scenario.build import begun, build
 from gelbot.simulate import rollout
@@ -90,3 +94,34 @@ def test_a_moved_start_is_a_rigid_motion() -> None:
     first, last = before[:, :1] - before, after[:, :1] - after
     turned = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     assert last[:2] == pytest.approx(turned @ first[:2], abs=1e-12)
+
+
+@pytest.mark.parametrize("error", [BadInput("place", 3, "2", "1", 4), SimulationFailed(1.5, 0.2, 0.01, True, 3)])
+def test_an_error_comes_out_of_another_process_as_it_was(error: GelbotError) -> None:
+    again = pickle.loads(pickle.dumps(error))
+    assert type(again) is type(error)
+    assert (str(again), again.__dict__) == (str(error), error.__dict__)
+
+
+@pytest.mark.parametrize(
+    ("count", "share", "said"),
+    [(0, 0.0, "count of robots: got 0; allowed: 1 or more"), (2, 1.0, "scatter of p_ele: got 1.0; allowed: at least 0"),
+     (2, -0.1, "scatter of p_ele: got -0.1"), (2, np.nan, "scatter of p_ele: got nan")],
+)  # fmt: skip
+def test_scatter_that_means_nothing_is_refused(count: int, share: float, said: str) -> None:
+    with pytest.raises(BadInput, match=re.escape(said)):
+        scattered(count, 1, p_ele=share)
+
+
+def test_processes_are_one_or_more() -> None:
+    with pytest.raises(BadInput, match="processes: got 0; allowed: 1 or more"):
+        next(march_all(load("dome", SHORT), PLAIN, processes=0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("processes", [1, 2])
+def test_a_robot_that_would_begin_in_a_wall_is_refused_by_its_number(processes: int) -> None:
+    loaded = load("dome", (*SHORT, 'tank.size=["120 mm", "120 mm"]'))
+    robots = Robots(np.array([[0.0, 0.0], [50e-3, 0.0]]), np.zeros(2), np.ones(2), np.ones(2), np.ones(2))
+    with pytest.raises(BadInput, match=r"robot 1: body.pose: got .*into plane"):
+        list(march_all(loaded, robots, processes))

@@ -27,12 +27,13 @@ from numpy.typing import NDArray
 
 from gelbot.body.symmetry import rotation
 from gelbot.engine import keep_compiled, prepare_engine
-from gelbot.errors import GelbotError
+from gelbot.errors import BadInput, GelbotError
 from gelbot.gradient import stiffened
 from gelbot.record.summary import summarise
 from gelbot.run import Programs, frames_part, good_frames, march
 from gelbot.scenario.build import Experiment, build, disturbed
 from gelbot.scenario.load import Loaded
+from gelbot.scenario.surroundings import check_free
 from gelbot.simulate import Model, start
 
 LEFT_OUT = ("position", "adsorption")
@@ -77,8 +78,13 @@ def scattered(
     """`count` robots, uniform within plus or minus `shift` [m], `turn` [rad] and the shares of the material's numbers.
 
     `p_ele` 0.15 means 15 % about the scenario's. The same `seed` gives the same robots; the first ones do not depend on
-    `count`.
+    `count`. Raises `BadInput` for a share that would leave nothing of a number, or turn it round.
     """
+    if count < 1:
+        raise BadInput("count of robots", count, "1 or more")
+    for name, share in {"p_ele": p_ele, "p_l": p_l, "young_modulus": young_modulus}.items():
+        if not 0.0 <= share < 1.0:
+            raise BadInput(f"scatter of {name}", share, "at least 0 and less than 1, a share of the scenario's", "0.15")
     rng = np.random.default_rng(seed)
     x, y, angle, *material = rng.uniform(-1.0, 1.0, (count, 6)).T
     factors = [1.0 + share * part for share, part in zip((p_ele, p_l, young_modulus), material, strict=True)]
@@ -89,10 +95,13 @@ def march_all(loaded: Loaded, robots: Robots, processes: int | None = None) -> I
     """The whole programme of `loaded` for each of `robots`; outcomes come as they are ready, in any order.
 
     `processes`: 1 computes here, more in as many processes of their own; None: one for each core. Each builds the
-    scenario for itself. A robot whose steps do not converge is an outcome too. A script that calls this with more than
+    scenario for itself. A robot whose steps do not converge is an outcome too; one that would begin inside a wall or an
+    obstacle is a `BadInput`. A script that calls this with more than
     one must keep its own start behind `if __name__ == "__main__":`, as always with processes.
     """
     count = len(robots.turn)
+    if processes is not None and processes < 1:
+        raise BadInput("processes", processes, "1 or more", "leave it out: one for each core")
     wanted = min(count, (os.cpu_count() or 1) if processes is None else processes)
     if wanted <= 1:
         ready = _prepared(loaded)
@@ -156,7 +165,12 @@ def _outcome_of_the_given(index: int, robot: Robots) -> Outcome:
 def _outcome(ready: _Prepared, index: int, robot: Robots) -> Outcome:
     experiment, programs = ready
     times = {"wall_s": 0.0, "compile_s": 0.0}
-    state = start(experiment.model, moved(experiment, robot.shift, float(robot.turn)))
+    positions = moved(experiment, robot.shift, float(robot.turn))
+    try:
+        check_free(experiment.model.mechanics.obstacles, np.asarray(positions))
+    except BadInput as error:
+        raise error.inside(f"robot {index}") from error
+    state = start(experiment.model, positions)
     model = disturbed(experiment, varied(experiment.model, robot), state.positions)
     chunks = []
     for frames in march(experiment, model, state, programs, times):

@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 
 class GelbotError(Exception):
     """Base of all errors that gelbot raises on purpose. Its text is meant for the user."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Out of another process it comes as it was: the children are not made from their text.
+        return _restored, (type(self), self.args, self.__dict__)
+
+
+def _restored(kind: type[GelbotError], texts: tuple[str, ...], data: dict[str, Any]) -> GelbotError:
+    error = kind.__new__(kind, *texts)
+    error.__dict__.update(data)
+    return error
 
 
 class Nothing:
