@@ -19,12 +19,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelbot.control.programme import Phases, Programme, Progress, advance, begin, is_over
-from gelbot.control.servo import saturate, servo
+from gelbot.control.programme import ANGLE, HEIGHTS, NORMAL, Phases, Programme, Progress, advance, begin, next_phase
+from gelbot.control.servo import filtered_rate, saturate, servo, slew
 from gelbot.errors import BadInput
 from gelbot.field.electrodes import Disc, Rod, hexagonal_array, rectangular_array, square_array
-from gelbot.plan.templates import TEMPLATES, template
-from gelbot.plan.trajectory import rise
+from gelbot.plan.templates import TEMPLATES, superposition, template
+from gelbot.plan.trajectory import no_faster, rise
 from gelbot.points import Observation
 
 MM = 1e-3
@@ -64,6 +64,22 @@ class TestServo:
         assert ends[1.0] == pytest.approx(1 * MM, rel=1e-2)
         assert ends[-1.0] < 0.0
 
+    @given(finite, finite, st.floats(0.0, 1e3), st.floats(0.01, 1.0))
+    def test_slew_is_the_nearest_that_the_rate_allows(self, wanted, last, rate, period):
+        given_out = float(slew(wanted, last, rate, period))
+        assert abs(given_out - last) <= rate * period * (1.0 + 1e-9) + 1e-9
+        if abs(wanted - last) <= rate * period:
+            assert given_out == wanted
+        assert float(slew(wanted, last, INF, period)) == wanted
+
+    def test_the_filter_is_a_first_order_low_pass(self):
+        """A step goes through as 1 - exp(-t / T), where the period is short beside T; without T at once."""
+        rate, period = 0.0, 0.01
+        for _ in range(100):
+            rate = float(filtered_rate(1.0, rate, 0.5, period))
+        assert rate == pytest.approx(1.0 - np.exp(-2.0), rel=0.01)
+        assert float(filtered_rate(1.0, 0.3, 0.0, period)) == pytest.approx(1.0)
+
     @given(st.floats(-1e9, 1e9), st.floats(0.0, 100.0))
     def test_the_supply_limits(self, amplitude, limit):
         given_out = float(saturate(amplitude, limit))
@@ -73,33 +89,52 @@ class TestServo:
 
 
 INF = float("inf")
-NEVER = {"heights": -INF, "tip_angles": -INF, "normals": INF, "conditional": False, "durations": INF}
+LOWS = {"heights": HEIGHTS, "tip_angles": ANGLE, "above": NORMAL}
+HIGHS = {"normals": NORMAL, "contact": HEIGHTS + 1}
 
 
 def programme(*ends: dict[str, float], amplitudes: tuple[float, ...] | None = None) -> Programme:
     """Phases that end as told (the last one included), each with a pattern and an amplitude of its own."""
-    rows = [{**NEVER, "conditional": bool(set(e) - {"durations"}), **e} for e in ends]
-    count = len(rows)
+    count = len(ends)
+    lows, highs = np.full((count, 5), -INF), np.full((count, 5), INF)
+    for k, end in enumerate(ends):
+        for bounds, places in ((lows, LOWS), (highs, HIGHS)):
+            for key in set(end) & set(places):
+                bounds[k, places[key]] = end[key]
+    volts = jnp.asarray(amplitudes or [10.0 - k for k in range(count)])
+    following = jnp.minimum(jnp.arange(count) + 1, count - 1)
     phases = Phases(
         patterns=jnp.asarray(np.linspace(-1.0, 1.0, count * 4).reshape(count, 4)),
-        amplitudes=jnp.asarray(amplitudes or [10.0 - k for k in range(count)]),
+        profile_times=jnp.zeros((count, 1)),
+        profile_volts=volts[:, None],
         uses_servo=jnp.zeros(count, bool),
         holds=jnp.full(count, jnp.nan),
-        **{key: jnp.asarray([row[key] for row in rows]) for key in NEVER},
+        lows=jnp.asarray(lows),
+        highs=jnp.asarray(highs),
+        conditional=jnp.asarray([bool(set(end) - {"durations"}) for end in ends]),
+        durations=jnp.asarray([end.get("durations", INF) for end in ends]),
+        after_event=following,
+        after_time=following,
     )
-    return Programme(
-        phases, jnp.array([0.0, 10.0]), jnp.array([0.0, 5 * MM]), *map(jnp.asarray, (KP, KV, 1.0, 10.0, 0.1))
-    )
+    followed = jnp.zeros((3, 3)).at[2, 0].set(1.0)  # the centre's height
+    reference = jnp.array([0.0, 10.0]), jnp.array([0.0, 5 * MM])
+    gains = map(jnp.asarray, (KP, KV, 1.0, INF, 0.0, 10.0, 0.1))
+    return Programme(phases, followed, jnp.asarray(False), *reference, *gains)
 
 
-def seen(height: float = 0.0, tips: tuple[float, ...] = (0.0, 0.0), normal: float = 1.0) -> Observation:
-    return Observation(
-        jnp.array([0.0, 0.0, height]), jnp.array([0.0, 0.0, normal]), jnp.zeros((3, len(tips))), jnp.asarray(tips)
-    )
+def is_over(phases: Phases, progress: Progress, time, observation: Observation) -> bool:
+    return int(next_phase(phases, progress, time, observation)) != int(progress.phase)
 
 
-def at(phase: int, began: float = 0.0) -> Progress:
-    return Progress(jnp.asarray(phase), jnp.asarray(began), jnp.asarray(0.0))
+def seen(
+    height: float = 0.0, tips: tuple[float, float] = (0.0, 0.0), normal: float = 1.0, low: float = 0.0, x: float = 0.0
+) -> Observation:
+    places = jnp.zeros((3, 2)).at[2].set(low)
+    return Observation(jnp.array([x, 0.0, height]), jnp.array([0.0, 0.0, normal]), places, jnp.asarray(tips))
+
+
+def at(phase: int, began: float = 0.0, height: float = 0.0) -> Progress:
+    return Progress(jnp.asarray(phase), *map(jnp.asarray, (began, 0.0, height, 0.0, 0.0)))
 
 
 class TestProgramme:
@@ -109,11 +144,22 @@ class TestProgramme:
             ({"heights": 5 * MM}, seen(4.9 * MM), seen(5.0 * MM)),
             ({"tip_angles": 1.4}, seen(tips=(1.3, 1.2)), seen(tips=(0.1, 1.45))),
             ({"normals": -0.85}, seen(normal=-0.8), seen(normal=-0.9)),
+            ({"above": 0.85}, seen(normal=0.8), seen(normal=0.9)),
+            ({"contact": 1 * MM}, seen(low=1.1 * MM), seen(low=0.9 * MM)),
             ({"heights": 5 * MM, "tip_angles": 1.4}, seen(6 * MM, (1.3, 0.0)), seen(6 * MM, (1.5, 0.0))),
             ({"heights": 5 * MM, "tip_angles": 1.4}, seen(4 * MM, (1.5, 0.0)), seen(6 * MM, (1.5, 0.0))),
             ({"heights": 5 * MM, "normals": 0.0}, seen(6 * MM, normal=0.5), seen(6 * MM, normal=-0.5)),
         ],
-        ids=["height", "leading tip", "normal", "tip is missing", "height is missing", "normal is missing"],
+        ids=[
+            "height",
+            "leading tip",
+            "normal",
+            "upright",
+            "contact",
+            "tip is missing",
+            "height is missing",
+            "normal is missing",
+        ],
     )
     def test_ends_when_all_its_conditions_hold(self, condition, before, after):
         phases = programme(condition, {}).phases
@@ -136,7 +182,7 @@ class TestProgramme:
 
     def test_phases_keep_their_order(self):
         plan = programme({"heights": 2 * MM}, {"durations": 1.0}, {"normals": -0.5}, {})
-        progress = begin(seen())
+        progress = begin(plan, seen())
         story = []
         for k in range(60):
             z = 0.1 * MM * k
@@ -154,7 +200,7 @@ class TestProgramme:
     def test_servo_phase(self):
         plan = programme({}, {})
         plan = plan._replace(phases=plan.phases._replace(uses_servo=jnp.array([True, False])))
-        progress = begin(seen(1 * MM))
+        progress = begin(plan, seen(1 * MM))
         # At 4 s the reference is 2 mm; the body rose 0.05 mm in the last period of 0.1 s.
         progress, voltages, command = advance(plan, progress, jnp.asarray(4.0), seen(1.05 * MM))
         expected = 10.0 * (2.0 - 1.05) - 0.5 * 0.5
@@ -171,22 +217,60 @@ class TestProgramme:
         held = {"uses_servo": jnp.ones(2, bool), "holds": jnp.array([jnp.nan, 4 * MM])}
         plan = plan._replace(phases=plan.phases._replace(**held))
         for phase, reference in ((0, 2 * MM), (1, 4 * MM)):
-            progress = at(phase)._replace(last_height=jnp.asarray(3.5 * MM))
+            progress = at(phase, height=3.5 * MM)
             _, _, command = advance(plan, progress, jnp.asarray(4.0), seen(3.5 * MM))
             assert float(command.reference) == pytest.approx(reference)
             expected = np.clip(10.0 * (reference - 3.5 * MM) / MM, -10.0, 10.0)
             assert float(command.amplitude) == pytest.approx(expected)
 
+    def test_an_event_and_the_time_may_lead_elsewhere(self):
+        """A body that fell back is lifted again."""
+        phases = programme({"heights": 2 * MM}, {"normals": -0.5, "durations": 5.0}, {}, {}).phases
+        phases = phases._replace(after_event=jnp.array([1, 3, 3, 3]), after_time=jnp.array([1, 0, 3, 3]))
+        assert int(next_phase(phases, at(1), jnp.asarray(1.0), seen(normal=-0.9))) == 3
+        assert int(next_phase(phases, at(1), jnp.asarray(5.0), seen())) == 0
+        assert int(next_phase(phases, at(1), jnp.asarray(5.0), seen(normal=-0.9))) == 3
+
+    def test_a_profile_is_linear_in_the_age_of_its_phase(self):
+        plan = programme({"durations": 2.0}, {})
+        times, volts = jnp.array([[0.0, 2.0], [0.0, 4.0]]), jnp.array([[1.0, 5.0], [0.0, 8.0]])
+        plan = plan._replace(phases=plan.phases._replace(profile_times=times, profile_volts=volts))
+        progress, given = begin(plan, seen()), []
+        for time in (0.0, 1.0, 2.0, 4.0, 9.0):
+            progress, _, command = advance(plan, progress, jnp.asarray(time), seen())
+            given.append(float(command.amplitude))
+        assert given == pytest.approx([1.0, 3.0, 0.0, 4.0, 8.0])
+
+    def test_the_servo_follows_another_point_along_the_floor(self):
+        """From where it was: the reference at 4 s is 2 mm to the right."""
+        plan = programme({})
+        along = jnp.zeros((3, 3)).at[0, 0].set(1.0)
+        plan = plan._replace(
+            phases=plan.phases._replace(uses_servo=jnp.array([True])), followed=along, from_start=jnp.asarray(True)
+        )
+        progress = begin(plan, seen(x=7 * MM))
+        _, _, command = advance(plan, progress, jnp.asarray(4.0), seen(x=8.5 * MM))
+        assert float(command.amplitude) == pytest.approx(10.0 * 0.5 - 0.5 * 15.0)
+
+    def test_the_command_of_a_servo_is_limited_in_its_rate(self):
+        plan = programme({})
+        plan = plan._replace(phases=plan.phases._replace(uses_servo=jnp.array([True])), slew_rate=jnp.asarray(20.0))
+        progress, given = begin(plan, seen()), []
+        for k in range(4):
+            progress, _, command = advance(plan, progress, jnp.asarray(1e3 + 0.1 * k), seen())
+            given.append(float(command.amplitude))
+        assert given == pytest.approx([2.0, 4.0, 6.0, 8.0])
+
     def test_the_limit_holds_for_fixed_amplitudes_too(self):
         plan = programme({}, amplitudes=(-25.0,))
-        _, voltages, command = advance(plan, begin(seen()), jnp.asarray(0.0), seen())
+        _, voltages, command = advance(plan, begin(plan, seen()), jnp.asarray(0.0), seen())
         assert float(command.amplitude) == -10.0
         assert float(jnp.max(jnp.abs(voltages))) <= 10.0
 
     def test_compiles(self):
         plan = programme({"heights": 2 * MM}, {})
         tick = jax.jit(advance)
-        progress, _, command = tick(plan, begin(seen()), jnp.asarray(0.0), seen(3 * MM))
+        progress, _, command = tick(plan, begin(plan, seen()), jnp.asarray(0.0), seen(3 * MM))
         assert int(command.phase) == 1
         assert int(progress.phase) == 1
 
@@ -241,6 +325,17 @@ class TestTemplates:
         assert np.ptp(pattern("uniform"), axis=0) == pytest.approx(np.zeros(4))
         assert not np.any(pattern("off"))
 
+    def test_fields_along_and_across_the_ridge(self):
+        right, up = np.meshgrid(np.arange(4) - 2.0, np.arange(4) - 2.0)
+        assert pattern("along-ridge") == pytest.approx((right + up) / 4.0)
+        assert pattern("across-ridge") == pytest.approx((right - up) / 3.0)
+
+    def test_a_superposition_is_a_sum_within_bounds(self):
+        robot = np.array([12.5, 12.5]) * MM
+        both = superposition({"ridge": 0.5, "along-ridge": -0.3}, ARRAY, robot).reshape(4, 4)
+        assert both == pytest.approx(0.5 * pattern("ridge") - 0.3 * pattern("along-ridge"))
+        assert superposition({"ridge": 3.0}, ARRAY, robot).reshape(4, 4) == pytest.approx(pattern("ridge"))
+
     def test_all_are_shares_of_the_amplitude(self):
         for name in TEMPLATES:
             assert np.abs(pattern(name)).max() <= 1.0
@@ -285,7 +380,7 @@ class TestTemplates:
 
     def test_a_single_electrode_and_some_above_each_other(self):
         one = rectangular_array(Rod(2 * MM, 9 * MM), 1, 1, (0.0, 0.0), 15 * MM)
-        assert [template(name, one, np.zeros(2))[0] for name in TEMPLATES] == [-1, -1, -1, 1, 1, 1, 0, 0]
+        assert [template(name, one, np.zeros(2))[0] for name in TEMPLATES] == [-1, -1, -1, 1, 1, 1, 0, 0, 0, 0]
         column = square_array(3, 1, 10 * MM, 15 * MM, 15 * MM)
         assert not np.any(template("uniform", column, np.zeros(2)))
 
@@ -305,6 +400,13 @@ class TestTrajectory:
     def test_straight_line(self):
         times, heights = rise(1 * MM, 5 * MM, 40.0, rounding=0.0)
         assert heights == pytest.approx(1 * MM + 4 * MM * times / 40.0)
+
+    def test_no_faster_delays_what_is_too_fast_and_nothing_else(self):
+        times, values = no_faster(np.array([0.0, 1.0, 5.0]), np.array([0.0, 4.0, 5.0]), 2.0)
+        assert times == pytest.approx([0.0, 2.0, 6.0])
+        assert values == pytest.approx([0.0, 4.0, 5.0])
+        times, values = no_faster(*rise(0.0, 5 * MM, 10.0), 0.5 * MM)
+        assert np.abs(np.diff(values) / np.diff(times)).max() <= 0.5 * MM * (1.0 + 1e-9)
 
     def test_minimum_jerk(self):
         times, heights = rise(0.0, 1.0, 1.0, rounding=1.0, count=2001)

@@ -24,6 +24,8 @@ KINDS = {
     "V": ("a voltage", "10 V"),
     "A": ("a current", "200 mA"),
     "A/m^2": ("a current density", "10 mA/cm^2"),
+    "m/s": ("a speed", "1 mm/s"),
+    "V/s": ("a voltage per time", "5 V/s"),
     "V/m": ("a voltage per length", "10 V/mm"),
     "V*s/m": ("a voltage per velocity", "0.5 V*s/mm"),
 }

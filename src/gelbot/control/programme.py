@@ -11,55 +11,74 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from gelbot.control.servo import saturate, servo
+from gelbot.control.servo import filtered_rate, saturate, servo, slew
 from gelbot.points import Observation
 
 CLOCK_SLACK = 1e-4
 """Added up in single precision, a minute of steps is off by less than this [s]."""
 
+ANGLE, NORMAL, HEIGHTS = 0, 1, 2
+"""Where the quantities of `measured` stand."""
+
 
 class Phases(NamedTuple):
     """Constant data of `p` phases.
 
-    `patterns` (p, e): share of the amplitude on each electrode. `uses_servo` (p,): amplitude from the servo, else
-    `amplitudes` [V] (p,). The servo follows the programme's reference, or the phase's own height `holds` [m] (p,) where
-    that is not NaN. A phase ends when all its conditions hold: the centre's `heights` [m] reached, the leading
-    tip's angle `tip_angles` [rad] reached, the normal's z below `normals`, or when it is `durations` [s] old. A
-    condition that does not count is -inf (height, angle) or +inf (normal, duration); `conditional` (p,) tells whether
-    any of the first three counts.
+    `patterns` (p, e): share of the amplitude on each electrode. `uses_servo` (p,): amplitude from the servo, else from
+    the phase's own profile, linear between `profile_volts` [V] at `profile_times` [s] (p, w) of its age. The servo
+    follows the programme's reference, or the phase's own value `holds` [m] (p,) where that is not NaN.
+
+    A phase ends with its event: when all `measured` quantities lie between `lows` and `highs` (p, m), infinite where
+    one does not count; `conditional` (p,) tells whether any does. Then phase `after_event` (p,) begins. Without it the
+    phase ends when it is `durations` [s] (p,) old, and phase `after_time` (p,) begins.
     """
 
     patterns: Array
-    amplitudes: Array
+    profile_times: Array
+    profile_volts: Array
     uses_servo: Array
     holds: Array
-    heights: Array
-    tip_angles: Array
-    normals: Array
+    lows: Array
+    highs: Array
     conditional: Array
     durations: Array
+    after_event: Array
+    after_time: Array
 
 
 class Programme(NamedTuple):
-    """Phases with the servo's constants; the reference z_d is linear between `reference_times` [s] and
-    `reference_heights` [m]; `limit` [V] of the supply, control `period` [s]."""
+    """Phases with the servo's constants.
+
+    The servo's z is the sum of `followed` (3, 1 + a) times the essential points, the centre and `a` tips, as they are
+    or, `from_start`, counted from where they were first seen. Its reference z_d is linear between `reference_times` [s]
+    and `reference_heights` [m]. `limit` [V] of the supply, control `period` [s]; `slew_rate` [V/s] limits the servo's
+    command, `rate_filter` [s] smooths the velocity that it sees.
+    """
 
     phases: Phases
+    followed: Array
+    from_start: Array
     reference_times: Array
     reference_heights: Array
     kp: Array
     kv: Array
     sign: Array
+    slew_rate: Array
+    rate_filter: Array
     limit: Array
     period: Array
 
 
 class Progress(NamedTuple):
-    """Where a programme stands: `phase`, the time [s] it began, the last height [m] seen."""
+    """Where a programme stands: `phase`, the time [s] it `began`; what the servo saw last, z `last_height` [m] (before
+    `origin` [m] is taken off), its filtered `rate` [m/s], and the last `amplitude` [V] of all."""
 
     phase: Array
     began: Array
+    origin: Array
     last_height: Array
+    rate: Array
+    amplitude: Array
 
 
 class Command(NamedTuple):
@@ -70,24 +89,33 @@ class Command(NamedTuple):
     reference: Array
 
 
-def begin(observation: Observation) -> Progress:
-    """A programme at its beginning; the height seen first gives the first velocity, zero."""
-    return Progress(jnp.asarray(0), jnp.zeros_like(observation.centre[2]), observation.centre[2])
-
-
-def is_over(phases: Phases, progress: Progress, time: Array, observation: Observation) -> Array:
-    """Whether the present phase ends now: its event has happened, or its time has run out."""
-    k = progress.phase
+def measured(observation: Observation) -> Array:
+    """What a phase's event can depend on, (3 + a,): the steepest of the tips' angles [rad], the normal's z, and the
+    heights [m] of the essential points, the centre and `a` tips."""
+    heights = jnp.concatenate([observation.centre[2:], observation.tips[2]])
     # The servo lifts the whole body; the tip that points down furthest says how far the arms have come.
-    vertical = jnp.max(observation.tip_angles)
-    event = (
-        phases.conditional[k]
-        & (observation.centre[2] >= phases.heights[k])
-        & (vertical >= phases.tip_angles[k])
-        & (observation.normal[2] <= phases.normals[k])
-    )
+    return jnp.concatenate([jnp.max(observation.tip_angles)[None], observation.normal[2:], heights])
+
+
+def _followed(programme: Programme, observation: Observation) -> Array:
+    """The servo's z [m]."""
+    points = jnp.concatenate([observation.centre[:, None], observation.tips], axis=1)
+    return jnp.sum(programme.followed * points)
+
+
+def begin(programme: Programme, observation: Observation) -> Progress:
+    """A programme at its beginning; the place seen first gives the first velocity, zero."""
+    z = _followed(programme, observation)
+    zero = jnp.zeros_like(z)
+    return Progress(jnp.asarray(0), zero, jnp.where(programme.from_start, z, 0.0), z, zero, zero)
+
+
+def next_phase(phases: Phases, progress: Progress, time: Array, observation: Observation) -> Array:
+    """The phase after this tick: another one when its event has happened, or its time has run out."""
+    k, seen = progress.phase, measured(observation)
+    event = phases.conditional[k] & jnp.all((seen >= phases.lows[k]) & (seen <= phases.highs[k]))
     late = time - progress.began >= phases.durations[k] - CLOCK_SLACK
-    return (event | late) & (k < phases.patterns.shape[0] - 1)
+    return jnp.where(event, phases.after_event[k], jnp.where(late, phases.after_time[k], k))
 
 
 def advance(
@@ -95,18 +123,21 @@ def advance(
 ) -> tuple[Progress, Array, Command]:
     """One control tick: the voltages [V], shape (e,), to hold for the next period."""
     phases = programme.phases
-    ends = is_over(phases, progress, time, observation)
-    phase = jnp.where(ends, progress.phase + 1, progress.phase)
-    began = jnp.where(ends, time, progress.began)
+    phase = next_phase(phases, progress, time, observation)
+    began = jnp.where(phase == progress.phase, progress.began, time)
 
-    z = observation.centre[2]
+    z = _followed(programme, observation)
+    rate = filtered_rate(
+        (z - progress.last_height) / programme.period, progress.rate, programme.rate_filter, programme.period
+    )
     rise = jnp.interp(time, programme.reference_times, programme.reference_heights)
     reference = jnp.where(jnp.isnan(phases.holds[phase]), rise, phases.holds[phase])
-    z_dot = (z - progress.last_height) / programme.period
-    driven = servo(z, z_dot, reference, programme.kp, programme.kv, programme.sign)
-    amplitude = saturate(jnp.where(phases.uses_servo[phase], driven, phases.amplitudes[phase]), programme.limit)
+    driven = servo(z - progress.origin, rate, reference, programme.kp, programme.kv, programme.sign)
+    driven = slew(saturate(driven, programme.limit), progress.amplitude, programme.slew_rate, programme.period)
+    profile = jnp.interp(time - began, phases.profile_times[phase], phases.profile_volts[phase])
+    amplitude = saturate(jnp.where(phases.uses_servo[phase], driven, profile), programme.limit)
     voltages = amplitude * phases.patterns[phase]
-    return Progress(phase, began, z), voltages, Command(phase, amplitude, reference)
+    return Progress(phase, began, progress.origin, z, rate, amplitude), voltages, Command(phase, amplitude, reference)
 
 
 class Playing(NamedTuple):

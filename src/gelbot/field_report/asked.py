@@ -14,7 +14,7 @@ from gelbot.errors import BadInput
 from gelbot.field.electrodes import ElectrodeArray
 from gelbot.field.images import Tank
 from gelbot.field_report.moment import Moment, plain_or_with_unit
-from gelbot.plan.templates import template
+from gelbot.plan.templates import superposition, template
 from gelbot.scenario.schema import Scenario
 from gelbot.units import NUMBER, quantity, shown
 
@@ -73,15 +73,16 @@ def drive(request: Request, scenario: Scenario, array: ElectrodeArray, moment: M
     place = moment.centre[:2]
     if request.template is not None:
         pattern, source = template(request.template, array, place, "--template"), request.template
-    elif phase.template is not None:
-        pattern, source = template(phase.template, array, place), f'phase "{phase.name}", {phase.template}'
+    elif phase.shares is None:
+        names = " + ".join(phase.weights)
+        pattern, source = superposition(phase.weights, array, place), f'phase "{phase.name}", {names}'
     else:
         pattern, source = np.array(phase.shares), f'phase "{phase.name}"'
     limit = scenario.supply.limit
     if request.amplitude is not None:
         amplitude = plain_or_with_unit(request.amplitude, "V", "--amplitude")
     else:
-        amplitude = limit if request.template is not None or phase.drive == "servo" else float(phase.drive)
+        amplitude = limit if request.template is not None or phase.drive == "servo" else phase.profile[0][1]
     return Drive(amplitude * pattern * driven, f"{source} at {shown(amplitude, 'V')}")
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gelbot.body.lattice import Body, build_body
 from gelbot.body.quadratic import with_midpoints
 from gelbot.body.symmetry import rotation
-from gelbot.control.programme import Phases, Playing, Programme, begin
+from gelbot.control.programme import Playing, Programme, begin
 from gelbot.field.charge import FieldSolution, build_problem, solve
 from gelbot.field.circuit import connection
 from gelbot.field.electrodes import ElectrodeArray
@@ -28,10 +28,9 @@ from gelbot.mechanics.medium import net_weight
 from gelbot.mechanics.self_contact import ContactSurface, contact_surface
 from gelbot.mechanics.solid import build_solid
 from gelbot.mechanics.springs import build_lattice
-from gelbot.plan.templates import template
-from gelbot.plan.trajectory import rise
 from gelbot.points import essential_points, observe
 from gelbot.scenario.placement import mounted
+from gelbot.scenario.programme_arrays import build_programme
 from gelbot.scenario.schema import Scenario
 from gelbot.scenario.surroundings import check_free, obstacles
 from gelbot.simulate import Gel, Model, State, face_geometry, start
@@ -95,13 +94,13 @@ def build(scenario: Scenario) -> Experiment:
     check_free(model.mechanics.obstacles, positions)
     model, positions = cast(model), cast(positions)
     state = start(model, positions)
-    programme = cast(build_programme(scenario, array))
+    programme = cast(build_programme(scenario, array, len(body.tips)))
     return Experiment(scenario, body, array, field, connected, error, model, state, programme)
 
 
 def begun(experiment: Experiment, state: State) -> Playing:
     """The programme at its beginning, for the robot that is in `state`: the memory of `control.programme.play`."""
-    return Playing(experiment.programme, begin(observe(experiment.model.points, state.positions)))
+    return Playing(experiment.programme, begin(experiment.programme, observe(experiment.model.points, state.positions)))
 
 
 def electrode_array(scenario: Scenario) -> ElectrodeArray:
@@ -228,48 +227,4 @@ def build_surface(scenario: Scenario, body: Body) -> ContactSurface:
     corners = int(body.faces.max()) + 1
     return contact_surface(
         body.faces, body.nodes[:, :corners], body.thickness, scenario.body.mesh_size, layer, LOOK_AHEAD * body.thickness
-    )
-
-
-def build_programme(scenario: Scenario, array: ElectrodeArray) -> Programme:
-    """The phases as arrays; conditions that a phase does not name are out of reach."""
-    programme, phases = scenario.programme, scenario.programme.phases
-    place = np.array(scenario.body.pose.position)
-
-    def condition(key: str, unused: float) -> jnp.ndarray:
-        given = [getattr(phase.until, key, None) for phase in phases]
-        return jnp.asarray([unused if value is None else value for value in given])
-
-    patterns = [
-        template(phase.template, array, place) if phase.template is not None else np.array(phase.shares)
-        for phase in phases
-    ]
-    # What is not connected to the supply has no voltage of its own.
-    driven = np.array(scenario.electrodes.states) == "driven"
-    named = [phase.until is not None and phase.until.model_fields_set - {"after"} != set() for phase in phases]
-    times, heights = np.array([0.0, 1.0]), np.array([np.nan, np.nan])  # nothing to follow
-    low = scenario.body.thickness / 2.0
-    if programme.reference is not None:
-        reference = programme.reference
-        times, heights = rise(low, reference.height, reference.duration, reference.rounding)
-    servo = programme.servo
-    return Programme(
-        phases=Phases(
-            patterns=jnp.asarray(np.array(patterns) * driven),
-            amplitudes=jnp.asarray([0.0 if phase.drive == "servo" else phase.drive for phase in phases]),
-            uses_servo=jnp.asarray([phase.drive == "servo" for phase in phases]),
-            holds=jnp.asarray([np.nan if phase.hold is None else phase.hold for phase in phases]),
-            heights=condition("height", -np.inf),
-            tip_angles=condition("tip_angle", -np.inf),
-            normals=condition("normal_below", np.inf),
-            conditional=jnp.asarray(named),
-            durations=condition("after", np.inf),
-        ),
-        reference_times=jnp.asarray(times),
-        reference_heights=jnp.asarray(heights),
-        kp=jnp.asarray(0.0 if servo is None else servo.kp),
-        kv=jnp.asarray(0.0 if servo is None else servo.kv),
-        sign=jnp.asarray(-1.0 if servo is not None and servo.sign == "printed" else 1.0),
-        limit=jnp.asarray(scenario.supply.limit),
-        period=jnp.asarray(programme.control_period),
     )

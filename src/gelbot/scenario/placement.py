@@ -15,7 +15,8 @@ from gelbot.field.overlap import reaches_into
 from gelbot.scenario.bodies import Body
 from gelbot.scenario.electrodes import Electrodes
 from gelbot.scenario.fields import wrong
-from gelbot.scenario.tables import Programme, Supply, Tank
+from gelbot.scenario.programmes import Programme
+from gelbot.scenario.tables import Supply, Tank
 from gelbot.units import shown
 
 SLACK = 1e-9
@@ -126,10 +127,11 @@ def check_voltages(programme: Programme, electrodes: Electrodes, supply: Supply)
     limit = supply.limit
     for index, phase in enumerate(programme.phases):
         key = f"programme.phases.{index}"
-        if phase.drive != "servo" and abs(phase.drive) > limit:
-            allowed = f"at most supply.limit = {shown(limit, 'V')} either way"
-            raise wrong(f"{key}.drive", shown(phase.drive, "V"), allowed)
-        if isinstance(phase.pattern, str):
+        for _, voltage in phase.profile:
+            if abs(voltage) > limit:
+                allowed = f"at most supply.limit = {shown(limit, 'V')} either way"
+                raise wrong(f"{key}.drive", shown(voltage, "V"), allowed)
+        if not isinstance(phase.pattern, tuple):
             continue
         given = sum(len(row) for row in phase.pattern)
         allowed = f"{count} voltages, one for each of the {f'{rows} x {columns}' if in_rows else count} electrodes"

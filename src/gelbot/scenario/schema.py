@@ -1,7 +1,7 @@
 """What a scenario is: the tables of its file, each value in SI, every check on them.
 
-Checks of one value stand at the value (`fields`), checks within a table in that table (`bodies`, `tables`), checks
-among tables here (`placement`).
+Checks of one value stand at the value (`fields`), checks within a table in that table (`bodies`, `tables`,
+`programmes`), checks among tables here (`placement`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from gelbot.scenario.electrodes import Electrodes
 from gelbot.scenario.fields import Table, check_multiple
 from gelbot.scenario.obstacle_shapes import AnyObstacle
 from gelbot.scenario.placement import check_gel_is_clear, check_reach, check_tank, check_voltages
-from gelbot.scenario.tables import Material, Programme, Recording, Simulation, Solution, Supply, Tank
+from gelbot.scenario.programmes import Programme
+from gelbot.scenario.tables import Material, Recording, Simulation, Solution, Supply, Tank
 
 
 class Scenario(Table):

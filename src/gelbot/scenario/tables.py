@@ -1,33 +1,12 @@
-"""The tables of a scenario beside [body], each value in SI, with the checks on one value and within one table."""
+"""The tables of a scenario that hold single values, in SI, with the checks on each and within one table."""
 
 from __future__ import annotations
 
-from difflib import get_close_matches
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
-from gelbot.errors import NOTHING, BadInput
-from gelbot.plan.templates import TEMPLATES
-from gelbot.scenario.fields import (
-    Angle,
-    Checked,
-    Coordinate,
-    Count,
-    Density,
-    Dimension,
-    Height,
-    Length,
-    Number,
-    Size,
-    Table,
-    Time,
-    wrong,
-)
-from gelbot.units import allowed_quantity, quantity, shown
-
-SHARE = Number(ge=-1, le=1)
-"""What an electrode may get of the amplitude."""
+from gelbot.scenario.fields import Count, Density, Dimension, Height, Length, Number, Size, Table, Time, wrong
 
 
 class Material(Table):
@@ -85,118 +64,6 @@ class Supply(Table):
 
     limit: Annotated[float, Dimension("V", gt=0)]
     current_limit: Annotated[float, Dimension("A", gt=0)] | None = None
-
-
-class Reference(Table):
-    """The desired height of the centre: a rise from rest to `height` [m] in `duration` [s]; see `plan.trajectory`."""
-
-    height: Length
-    duration: Time
-    rounding: Annotated[float, Number(ge=0, le=1)]
-
-
-class ServoGains(Table):
-    """The servo of Eq. (7): `kp` [V/m], `kv` [V s/m], and whether its sign is corrected or as printed."""
-
-    kp: Annotated[float, Dimension("V/m", ge=0)]
-    kv: Annotated[float, Dimension("V*s/m", ge=0)]
-    sign: Literal["corrected", "printed"]
-
-
-class Until(Table):
-    """What ends a phase: centre `height` [m], `tip_angle` [rad] and `normal_below` all reached, or `after` [s] over."""
-
-    height: Coordinate | None = None
-    tip_angle: Angle | None = None
-    normal_below: Annotated[float, Number(ge=-1, le=1)] | None = None
-    after: Time | None = None
-
-    @model_validator(mode="after")
-    def _says_something(self) -> Until:
-        if not self.model_fields_set:
-            raise wrong("", {}, "at least one of " + ", ".join(type(self).model_fields))
-        return self
-
-
-class PatternField(Checked):
-    """A template's name, or numbers in [-1, 1], read as rows: a flat list is one row."""
-
-    @property
-    def allowed(self) -> str:
-        return "a template (" + ", ".join(TEMPLATES) + ") or a list of numbers from -1 to 1, one for each electrode"
-
-    def parse(self, given: object) -> str | tuple[tuple[float, ...], ...]:
-        if isinstance(given, str) and given in TEMPLATES:
-            return given
-        if not isinstance(given, list) or not given:
-            advice = "".join(get_close_matches(given, TEMPLATES, 1)) if isinstance(given, str) else ""
-            raise wrong("", given, self.allowed, advice)
-        rows = given if all(isinstance(row, list) for row in given) else [given]
-        return tuple(tuple(SHARE.parse(value) for value in row) for row in rows)
-
-
-class DriveField(Checked):
-    """The word "servo", or a voltage [V]."""
-
-    @property
-    def allowed(self) -> str:
-        return f'the word "servo", or {allowed_quantity("V")}'
-
-    def parse(self, given: object) -> str | float:
-        if given == "servo":
-            return "servo"
-        try:
-            return quantity(given, "V", "")
-        except BadInput as error:
-            raise wrong("", given, self.allowed) from error
-
-
-class Phase(Table):
-    """One phase: electrode n gets `shares[n]` times the amplitude, which is `drive` [V] or comes from the servo.
-
-    The servo follows the programme's reference, or keeps the height `hold` [m] where the phase names one.
-    """
-
-    name: str
-    pattern: Annotated[str | tuple[tuple[float, ...], ...], PatternField()]
-    drive: Annotated[Literal["servo"] | float, DriveField()]
-    hold: Length | None = None
-    until: Until | None = None
-
-    @property
-    def template(self) -> str | None:
-        """The name of the template, or None where the pattern is written out."""
-        return self.pattern if isinstance(self.pattern, str) else None
-
-    @property
-    def shares(self) -> tuple[float, ...] | None:
-        """The written pattern, row after row, or None for a template."""
-        return None if isinstance(self.pattern, str) else tuple(value for row in self.pattern for value in row)
-
-
-class Programme(Table):
-    """What is done: `phases` one after the other, a tick every `control_period` [s]."""
-
-    control_period: Time
-    reference: Reference | None = None
-    servo: ServoGains | None = None
-    phases: Annotated[tuple[Phase, ...], Field(min_length=1)]
-
-    @model_validator(mode="after")
-    def _is_complete(self) -> Programme:
-        for index, phase in enumerate(self.phases):
-            for key in ("reference", "servo"):
-                needed = phase.drive == "servo" and not (key == "reference" and phase.hold is not None)
-                if needed and getattr(self, key) is None:
-                    raise wrong(key, NOTHING, f'a table: programme.phases.{index}.drive is "servo" and needs it')
-            if phase.hold is not None and phase.drive != "servo":
-                raise wrong(f"phases.{index}.hold", shown(phase.hold, "m"), 'only with drive = "servo"')
-            if phase.until is not None and index == len(self.phases) - 1:
-                raise wrong(f"phases.{index}.until", "a table", "nothing: the last phase goes on to the end of the run")
-            if phase.until is None and index < len(self.phases) - 1:
-                allowed = "a table: the phase is followed by another"
-                raise wrong(f"phases.{index}.until", NOTHING, allowed, 'after = "10 s"')
-        return self
 
 
 class Simulation(Table):
