@@ -237,6 +237,6 @@ def test_an_outline_from_svg_is_written_out_as_points(tmp_path: Path):
 def test_a_written_pattern_may_stand_in_rows():
     flat = load("dome", [f"programme.phases.0.pattern={[0.5] * 8 + [-1] * 8}"]).scenario.programme.phases[0]
     rows = load("dome", [f"programme.phases.0.pattern={[[0.5] * 4] * 2 + [[-1] * 4] * 2}"]).scenario.programme.phases[0]
-    assert flat.template is rows.template is None
+    assert flat.weights == rows.weights == {}
     assert flat.shares == rows.shares == (0.5,) * 8 + (-1.0,) * 8
-    assert load("dome").scenario.programme.phases[0].template == "ridge"
+    assert load("dome").scenario.programme.phases[0].weights == {"ridge": 1.0}

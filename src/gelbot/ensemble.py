@@ -1,179 +1,165 @@
 """Many robots of one scenario, each a little different: all of the machine's cores, one robot on each at a time.
 
-    robots = scattered(100, seed=1, shift=0.5e-3, turn=np.radians(3.0), p_ele=0.15)
+    robots = [{"material.p_ele": "0.018 cm^2/mA"}, {"body.pose.heading": "230 deg"}]
     for one in march_all(load("turn-over"), robots):
         print(one.robot, one.summary["turned_over"])
 
-Robots wait for nobody: a step takes as many iterations as it needs. Marched in step instead, (3, n, b), all would wait
-for the slowest of them, and each would read its own factor from farther away: on a CPU that is slower, see
-docs/performance.md.
+A robot is what it changes in the scenario, key by key. Robots wait for nobody: a step takes as many iterations as it
+needs. Marched in step instead, (3, n, b), all would wait for the slowest of them, and each would read its own factor
+from farther away: on a CPU that is slower, see docs/performance.md.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from functools import cache
+from contextlib import contextmanager
+from copy import deepcopy
 from multiprocessing import get_context
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
-from gelbot.body.symmetry import rotation
 from gelbot.engine import keep_compiled, prepare_engine
 from gelbot.errors import BadInput, GelbotError
-from gelbot.gradient import stiffened
+from gelbot.points import observe
+from gelbot.record.motion import Reached, reach
 from gelbot.record.summary import summarise
 from gelbot.run import Programs, frames_part, good_frames, march
 from gelbot.scenario.build import Experiment, build, disturbed
-from gelbot.scenario.load import Loaded
-from gelbot.scenario.surroundings import check_free
-from gelbot.simulate import Model, start
+from gelbot.scenario.load import Loaded, checked
+from gelbot.scenario.overrides import put
+from gelbot.scenario.schema import Scenario
 
-LEFT_OUT = ("position", "adsorption")
+LEFT_OUT = ("position", "adsorption", "rest_position")
 """What is not kept of an ensemble's frames: nearly all of their size."""
 
-
-class Robots(NamedTuple):
-    """How each of `b` robots differs from the scenario's, all arrays of floats.
-
-    Moved by `shift` [m] (b, 2) in x and y and turned about its centre by `turn` [rad] (b,); `p_ele`, `p_l` and
-    `young_modulus` (b,) are factors on the scenario's.
-    """
-
-    shift: NDArray[np.float64]
-    turn: NDArray[np.float64]
-    p_ele: NDArray[np.float64]
-    p_l: NDArray[np.float64]
-    young_modulus: NDArray[np.float64]
+Changes: TypeAlias = Mapping[str, Any]
+"""A robot: dotted keys of the scenario with their values as TOML has them."""
 
 
 class Outcome(NamedTuple):
     """What became of number `robot`: its `summary` as of a run, whether all steps `converged`, and its `frames`.
 
-    The frames are those of a run folder without positions of nodes and adsorption of faces.
+    `reached` tells how far it came in the scenario's motion, None where there is none. The frames are those of a run
+    folder without positions of nodes and adsorption of faces.
     """
 
     robot: int
     summary: dict[str, Any]
     converged: bool
+    reached: Reached | None
     frames: xr.Dataset
 
 
-def scattered(
-    count: int,
-    seed: int,
-    shift: float = 0.0,
-    turn: float = 0.0,
-    p_ele: float = 0.0,
-    p_l: float = 0.0,
-    young_modulus: float = 0.0,
-) -> Robots:
-    """`count` robots, uniform within plus or minus `shift` [m], `turn` [rad] and the shares of the material's numbers.
-
-    `p_ele` 0.15 means 15 % about the scenario's. The same `seed` gives the same robots; the first ones do not depend on
-    `count`. Raises `BadInput` for a share that would leave nothing of a number, or turn it round.
-    """
-    if count < 1:
-        raise BadInput("count of robots", count, "1 or more")
-    for name, share in {"p_ele": p_ele, "p_l": p_l, "young_modulus": young_modulus}.items():
-        if not 0.0 <= share < 1.0:
-            raise BadInput(f"scatter of {name}", share, "at least 0 and less than 1, a share of the scenario's", "0.15")
-    rng = np.random.default_rng(seed)
-    x, y, angle, *material = rng.uniform(-1.0, 1.0, (count, 6)).T
-    factors = [1.0 + share * part for share, part in zip((p_ele, p_l, young_modulus), material, strict=True)]
-    return Robots(shift * np.stack([x, y], axis=1), turn * angle, *factors)
-
-
-def march_all(loaded: Loaded, robots: Robots, processes: int | None = None) -> Iterator[Outcome]:
+def march_all(
+    loaded: Loaded, robots: Sequence[Changes], processes: int | None = None, executor: Executor | None = None
+) -> Iterator[Outcome]:
     """The whole programme of `loaded` for each of `robots`; outcomes come as they are ready, in any order.
 
-    `processes`: 1 computes here, more in as many processes of their own; None: one for each core. Each builds the
-    scenario for itself. A robot whose steps do not converge is an outcome too; one that would begin inside a wall or an
-    obstacle is a `BadInput`. A script that calls this with more than
-    one must keep its own start behind `if __name__ == "__main__":`, as always with processes.
+    `processes`: 1 computes here, more in as many processes of their own; None: one for each core. Or they go to an
+    `executor`. A robot whose steps do not converge is an outcome too; one whose scenario is not allowed, or that would
+    begin inside a wall, is a `BadInput`. A script that calls this with more than one process must keep its own start
+    behind `if __name__ == "__main__":`, as always with processes.
     """
-    count = len(robots.turn)
+    if not robots:
+        raise BadInput("robots", "none", "one or more")
     if processes is not None and processes < 1:
         raise BadInput("processes", processes, "1 or more", "leave it out: one for each core")
-    wanted = min(count, (os.cpu_count() or 1) if processes is None else processes)
-    if wanted <= 1:
-        ready = _prepared(loaded)
-        yield from (_outcome(ready, k, _of(robots, k)) for k in range(count))
+    wanted = min(len(robots), (os.cpu_count() or 1) if processes is None else processes)
+    if executor is None and wanted <= 1:
+        yield from (outcome(loaded, k, robot) for k, robot in enumerate(robots))
         return
-    context = get_context("spawn")  # the engine's threads do not survive a fork
-    with ProcessPoolExecutor(wanted, context, _give, (loaded,)) as pool:
-        open_ones = {pool.submit(_outcome_of_the_given, k, _of(robots, k)) for k in range(count)}
-        try:
-            while open_ones:
-                done, open_ones = wait(open_ones, return_when=FIRST_COMPLETED)
-                yield from (one.result() for one in done)
-        except BrokenProcessPool as error:
-            raise GelbotError(
-                "a process that computes robots ended by itself. Try: the script's own start behind "
-                '`if __name__ == "__main__":`, fewer processes where memory is short, or processes=1'
-            ) from error
-        finally:
-            for one in open_ones:
-                one.cancel()
+    with workers(wanted) if executor is None else _given(executor) as pool:
+        futures = {pool.submit(outcome, loaded, k, robot) for k, robot in enumerate(robots)}
+        yield from as_ready(futures)
 
 
-def _of(robots: Robots, index: int) -> Robots:
-    """One robot's numbers."""
-    return Robots(*(values[index] for values in robots))
+@contextmanager
+def workers(processes: int) -> Iterator[Executor]:
+    """As many processes that compute robots. The engine's threads do not survive a fork: each is started anew."""
+    with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
+        yield pool
 
 
-class _Prepared(NamedTuple):
-    """What serves all robots: the scenario made ready, and the programs that the first of them compiles."""
+@contextmanager
+def _given(executor: Executor) -> Iterator[Executor]:
+    yield executor
 
+
+def as_ready(futures: set[Future[Any]]) -> Iterator[Any]:
+    """The results of `futures` as they come; what is still open when one of them fails is cancelled."""
+    try:
+        while futures:
+            done, futures = wait(futures, return_when=FIRST_COMPLETED)
+            for one in done:
+                yield one.result()
+    except BrokenProcessPool as error:
+        raise GelbotError(
+            "a process that computes robots ended by itself. Try: the script's own start behind "
+            '`if __name__ == "__main__":`, fewer processes where memory is short, or processes=1'
+        ) from error
+    finally:
+        for one in futures:
+            one.cancel()
+
+
+class _Ready(NamedTuple):
+    """A scenario made ready, which robots share: its parsed text and the programs that the first of them compiles."""
+
+    data: dict[str, Any]
     experiment: Experiment
     programs: Programs
 
 
-def _prepared(loaded: Loaded) -> _Prepared:
-    prepare_engine()
-    keep_compiled()
-    return _Prepared(build(loaded.scenario), {})
+_made: dict[str, _Ready] = {}
+"""The scenario of which this process computes robots, by its text."""
 
 
-_given: Loaded | None = None
-"""The scenario of a process of robots."""
+def _ready(loaded: Loaded) -> _Ready:
+    """Made with the first robot, once in each process: what is wrong with it is then said as that robot's error."""
+    if loaded.text not in _made:
+        prepare_engine()
+        keep_compiled()
+        ready = _Ready(tomllib.loads(loaded.text), build(loaded.scenario), {})
+        _made.clear()
+        _made[loaded.text] = ready
+    return _made[loaded.text]
 
 
-def _give(loaded: Loaded) -> None:
-    global _given
-    _given = loaded
+def scenario_of(loaded: Loaded, robot: Changes) -> Scenario:
+    """The scenario of one robot. The programme is meant for the place of the unchanged one: the robot may be off it."""
+    return checked(_changed(tomllib.loads(loaded.text), loaded.scenario, robot), loaded.source)
 
 
-@cache
-def _prepared_given() -> _Prepared:
-    """Made with the first robot: what is wrong with the scenario is then said as that robot's error."""
-    assert _given is not None
-    return _prepared(_given)
+def _changed(data: dict[str, Any], scenario: Scenario, robot: Changes) -> dict[str, Any]:
+    data = deepcopy(data)
+    for key, value in {"programme.place": [f"{x!r} m" for x in scenario.place], **robot}.items():
+        put(data, key.split("."), deepcopy(value))
+    return data
 
 
-def _outcome_of_the_given(index: int, robot: Robots) -> Outcome:
-    return _outcome(_prepared_given(), index, robot)
+def experiment_of(loaded: Loaded, robot: Changes) -> Experiment:
+    """The experiment of one robot, made from what the unchanged one has in common with it."""
+    ready = _ready(loaded)
+    return build(checked(_changed(ready.data, loaded.scenario, robot), loaded.source), ready.experiment)
 
 
-def _outcome(ready: _Prepared, index: int, robot: Robots) -> Outcome:
-    experiment, programs = ready
-    times = {"wall_s": 0.0, "compile_s": 0.0}
-    positions = moved(experiment, robot.shift, float(robot.turn))
+def outcome(loaded: Loaded, index: int, robot: Changes) -> Outcome:
+    """The whole programme for one robot, which is number `index`."""
     try:
-        check_free(experiment.model.mechanics.obstacles, np.asarray(positions))
+        experiment = experiment_of(loaded, robot)
     except BadInput as error:
         raise error.inside(f"robot {index}") from error
-    state = start(experiment.model, positions)
-    model = disturbed(experiment, varied(experiment.model, robot), state.positions)
+    times = {"wall_s": 0.0, "compile_s": 0.0}
+    model = disturbed(experiment, experiment.model, experiment.state.positions)
     chunks = []
-    for frames in march(experiment, model, state, programs, times):
+    for frames in march(experiment, model, experiment.state, _ready(loaded).programs, times):
         chunks.append(jax.tree.map(np.asarray, frames))
         if not np.isfinite(chunks[-1].positions[-1]).all():
             break
@@ -181,26 +167,10 @@ def _outcome(ready: _Prepared, index: int, robot: Robots) -> Outcome:
     converged = good_frames(frames, experiment.scenario.simulation.tolerance) == len(frames.time)
     part = frames_part(experiment, frames)
     summary = summarise(part, times["wall_s"], times["compile_s"])
-    return Outcome(index, summary, converged, part.drop_vars(LEFT_OUT).load())
-
-
-def moved(experiment: Experiment, shift: NDArray[np.float64], turn: float) -> jax.Array:
-    """The start positions [m] (3, n), moved by `shift` [m] (2,) and turned about the body's centre by `turn` [rad]."""
-    x = np.asarray(experiment.state.positions)
-    centre = np.array(experiment.scenario.body.pose.position)[:, None]
-    flat = rotation(turn) @ (x[:2] - centre) + centre + np.asarray(shift)[:, None]
-    return jnp.asarray(np.vstack([flat, x[2:]]), x.dtype)
-
-
-def varied(model: Model, robot: Robots) -> Model:
-    """`model` with the material of one robot."""
-    gel, mech = model.gel, model.mechanics
-
-    def times(value: jax.Array, factor: NDArray[np.float64]) -> jax.Array:
-        return value * jnp.asarray(factor, value.dtype)
-
-    factor = jnp.asarray(robot.young_modulus, mech.node_mass.dtype)
-    return model._replace(
-        gel=gel._replace(p_ele=times(gel.p_ele, robot.p_ele), p_l=times(gel.p_l, robot.p_l)),
-        mechanics=mech._replace(elastic=stiffened(mech.elastic, factor)),
-    )
+    reached = None
+    if experiment.scenario.motion is not None:
+        part["rest_position"] = (("space", "node"), np.asarray(experiment.state.positions))
+        seen = observe(experiment.model.points, experiment.state.positions)
+        part["start_point"] = (("space", "point"), np.concatenate([seen.centre[:, None], seen.tips], axis=1))
+        reached = reach(part, experiment.scenario)
+    return Outcome(index, summary, converged, reached, part.drop_vars(LEFT_OUT, errors="ignore").load())

@@ -96,15 +96,17 @@ def _simulate(experiment: Experiment, store: RunStore, bar: RunProgress, times: 
         bar.update(float(frames.time[-1]), names[int(frames.command.phase[-1])], float(_last_height(frames)) * 1e3)
 
 
-Programs: TypeAlias = dict[int, Any]
-"""Compiled rollouts by their number of control periods; they serve all robots of an experiment."""
+Programs: TypeAlias = dict[Any, Any]
+"""Compiled rollouts by their number of control periods and the shapes of what they take: robots alike share them."""
 
 
 def first_program(experiment: Experiment, model: Model, times: dict[str, float]) -> Programs:
     """The program that `march` of the robot `model` begins with; adds to `times`."""
     simulation, period = experiment.scenario.simulation, experiment.scenario.programme.control_period
     count = round(min(experiment.scenario.recording.chunk, simulation.duration) / period)
-    return {count: _compiled(experiment, model, experiment.state, begun(experiment, experiment.state), count, times)}
+    programs: Programs = {}
+    _program(programs, experiment, model, experiment.state, begun(experiment, experiment.state), count, times)
+    return programs
 
 
 def march(
@@ -121,10 +123,9 @@ def march(
     memory, (dt, error) = begun(experiment, state), _time_steps(experiment, state)
     while left > 0:
         count = min(per_chunk, left)
-        if count not in compiled:
-            compiled[count] = _compiled(experiment, model, state, memory, count, times)
+        program = _program(compiled, experiment, model, state, memory, count, times)
         began = clock.perf_counter()
-        state, memory, frames = jax.block_until_ready(compiled[count](model, state, memory, dt, step_error=error))
+        state, memory, frames = jax.block_until_ready(program(model, state, memory, dt, step_error=error))
         times["wall_s"] += clock.perf_counter() - began
         left -= count
         yield frames
@@ -132,15 +133,25 @@ def march(
             model = disturbed(experiment, model, state.positions)
 
 
-def _compiled(
-    experiment: Experiment, model: Model, state: State, memory: Playing, count: int, times: dict[str, float]
+def _program(
+    compiled: Programs,
+    experiment: Experiment,
+    model: Model,
+    state: State,
+    memory: Playing,
+    count: int,
+    times: dict[str, float],
 ) -> Any:
+    """The program for `count` control periods, compiled where it is not yet among the `compiled` ones."""
     simulation, period = experiment.scenario.simulation, experiment.scenario.programme.control_period
-    began = clock.perf_counter()
     steps, (dt, error) = round(period / simulation.time_step), _time_steps(experiment, state)
-    program = rollout.lower(model, state, play, memory, dt, count, steps, step_error=error).compile()
-    times["compile_s"] += clock.perf_counter() - began
-    return program
+    leaves, tree = jax.tree.flatten((model, state, memory, error))
+    key = (count, steps, tree, tuple((leaf.shape, leaf.dtype) for leaf in leaves))
+    if key not in compiled:
+        began = clock.perf_counter()
+        compiled[key] = rollout.lower(model, state, play, memory, dt, count, steps, step_error=error).compile()
+        times["compile_s"] += clock.perf_counter() - began
+    return compiled[key]
 
 
 def _time_steps(experiment: Experiment, state: State) -> tuple[jax.Array, jax.Array | None]:

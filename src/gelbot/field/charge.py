@@ -17,7 +17,7 @@ voltages gives all that follows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +99,26 @@ class SingularField(GelbotError):
             f"the field of these electrodes has no solution: {', '.join(names)}. "
             "Try: electrodes that do not touch each other, with sizes well above rounding"
         )
+
+
+def in_solution(solution: FieldSolution, conductivity: float) -> FieldSolution:
+    """The field of the same electrodes in another solution: potentials stay, currents grow with `conductivity` [S/m].
+
+    Only where nothing conducts but the solution.
+    """
+    problem = solution.problem
+    ratio = conductivity / problem.conductivity
+    if ratio == 1.0:
+        return solution
+    scaled = replace(
+        problem, conductivity=conductivity, potentials=problem.potentials / ratio, slopes=problem.slopes / ratio
+    )
+    return replace(
+        solution,
+        problem=scaled,
+        panel_current=solution.panel_current * ratio,
+        conductance=solution.conductance * ratio,
+    )
 
 
 def build_problem(

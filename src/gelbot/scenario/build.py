@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,7 @@ from gelbot.body.lattice import Body, build_body
 from gelbot.body.quadratic import with_midpoints
 from gelbot.body.symmetry import rotation
 from gelbot.control.programme import Playing, Programme, begin
-from gelbot.field.charge import FieldSolution, build_problem, solve
+from gelbot.field.charge import FieldSolution, build_problem, in_solution, solve
 from gelbot.field.circuit import connection
 from gelbot.field.electrodes import ElectrodeArray
 from gelbot.field.gel import disturbance, gel_panels
@@ -21,7 +22,7 @@ from gelbot.field.images import Tank
 from gelbot.field.lead_field import build_lead_field, table_error
 from gelbot.mechanics.beam import bending_modulus
 from gelbot.mechanics.contact import resting_depth
-from gelbot.mechanics.dissection import dissect
+from gelbot.mechanics.dissection import Dissection, dissect
 from gelbot.mechanics.elastic import Elastic, node_pairs
 from gelbot.mechanics.implicit import Mechanics
 from gelbot.mechanics.medium import net_weight
@@ -73,14 +74,21 @@ class Experiment:
     programme: Programme
 
 
-def build(scenario: Scenario) -> Experiment:
-    """Make everything that `scenario` describes; arrays in its precision. Raises `BadInput` for a mesh too coarse."""
-    body = build_body(scenario.body.outline(), scenario.body.thickness, scenario.body.mesh_size, scenario.body.layers)
-    if scenario.material.model == "solid":
-        body = with_midpoints(body)
-    array, panels = electrode_array(scenario), scenario.electrodes.panels_used
-    field = solve(build_problem(array, field_tank(scenario), scenario.solution.conductivity, panels))
-    connected = connection(field.conductance, scenario.electrodes.states)
+def build(scenario: Scenario, base: Experiment | None = None) -> Experiment:
+    """Make everything that `scenario` describes; arrays in its precision. Raises `BadInput` for a mesh too coarse.
+
+    What it has in common with `base`, such as the body's mesh and the electrodes' field, is taken from there: robots
+    that differ in their material take milliseconds instead of seconds.
+    """
+    kept = _kept(scenario, base)
+    body = build_mesh(scenario) if kept.body is None else kept.body.body
+    if kept.field is None:
+        array, panels = electrode_array(scenario), scenario.electrodes.panels_used
+        field = solve(build_problem(array, field_tank(scenario), scenario.solution.conductivity, panels))
+        connected = connection(field.conductance, scenario.electrodes.states)
+    else:
+        array, connected = kept.field.array, kept.field.connection
+        field = in_solution(kept.field.field, scenario.solution.conductivity)
     dtype = jnp.dtype(scenario.simulation.precision)
 
     def cast(tree):
@@ -88,14 +96,58 @@ def build(scenario: Scenario) -> Experiment:
             lambda a: jnp.asarray(a, dtype if jnp.issubdtype(jnp.result_type(a), jnp.floating) else None), tree
         )
 
-    model = build_model(scenario, body, field, connected)
-    positions = sunk(model.mechanics, posed(scenario, body))
-    error = table_error(model.lead, field, face_geometry(jnp.asarray(positions), model.gel.faces)[0], connected)
-    check_free(model.mechanics.obstacles, positions)
+    dissection = None if kept.body is None else kept.body.model.mechanics.dissection
+    mechanics = build_mechanics(scenario, body, dissection=dissection)
+    positions = sunk(mechanics, posed(scenario, body))
+    check_free(mechanics.obstacles, positions)
+    if kept.table is None:
+        low, high = working_box(scenario, body, array)
+        lead = build_lead_field(field, low, high, scenario.simulation.field_spacing, connected)
+        centroids = face_geometry(jnp.asarray(positions), jnp.asarray(body.faces))[0]
+        error = table_error(lead, field, centroids, connected)
+    else:
+        lead, error = kept.table.model.lead, kept.table.table_error
+        lead = lead._replace(conductivity=jnp.asarray(scenario.solution.conductivity))
+    points = essential_points(body) if kept.body is None else kept.body.model.points
+    model = Model(build_gel(scenario, body), mechanics, lead, points)
     model, positions = cast(model), cast(positions)
     state = start(model, positions)
     programme = cast(build_programme(scenario, array, len(body.tips)))
     return Experiment(scenario, body, array, field, connected, error, model, state, programme)
+
+
+class _Kept(NamedTuple):
+    """What an experiment has in common with another one: that one, or None where they differ."""
+
+    body: Experiment | None
+    field: Experiment | None
+    table: Experiment | None
+
+
+def _kept(scenario: Scenario, base: Experiment | None) -> _Kept:
+    if base is None or base.scenario.simulation.precision != scenario.simulation.precision:
+        return _Kept(None, None, None)
+    old = base.scenario
+
+    def sheet(s: Scenario) -> object:
+        return s.body.model_copy(update={"pose": None}), s.material.model
+
+    def tank(s: Scenario) -> object:
+        return s.electrodes, s.tank.model_copy(update={"friction": None})
+
+    def box(s: Scenario) -> object:
+        return s.place, s.body.pose.lift, s.simulation.field_spacing
+
+    body = base if sheet(old) == sheet(scenario) else None
+    field = base if tank(old) == tank(scenario) else None
+    return _Kept(body, field, base if body and field and box(old) == box(scenario) else None)
+
+
+def build_mesh(scenario: Scenario) -> Body:
+    """The body's mesh, as its material needs it."""
+    sheet = scenario.body
+    body = build_body(sheet.outline(), sheet.thickness, sheet.mesh_size, sheet.layers)
+    return with_midpoints(body) if scenario.material.model == "solid" else body
 
 
 def begun(experiment: Experiment, state: State) -> Playing:
@@ -151,26 +203,23 @@ def sunk(mech: Mechanics, positions: NDArray[np.float64]) -> NDArray[np.float64]
     return positions - np.array([[0.0], [0.0], [depth]])
 
 
-def build_model(scenario: Scenario, body: Body, field: FieldSolution, connected: NDArray[np.float64]) -> Model:
-    """The constants of a run; `connected` see `Experiment.connection`."""
+def build_gel(scenario: Scenario, body: Body) -> Gel:
+    """The active surface of the body."""
     material = scenario.material
-    gel = Gel(
+    return Gel(
         faces=jnp.asarray(body.faces),
         p_ele=jnp.asarray(material.p_ele),
         p_ads=jnp.asarray(material.p_ads),
         p_l=jnp.asarray(material.p_l),
         adsorption_step=jnp.asarray(material.adsorption_step),
     )
-    low, high = working_box(scenario, body, field.problem.array)
-    lead = build_lead_field(field, low, high, scenario.simulation.field_spacing, connected)
-    return Model(gel, build_mechanics(scenario, body), lead, essential_points(body))
 
 
 def working_box(
     scenario: Scenario, body: Body, array: ElectrodeArray
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lowest and highest corner [m], shape (3,) each, of the box in which the lead field is tabulated."""
-    place, reach = np.array(scenario.body.pose.position), WORKING_REACH * body.outline.reach
+    place, reach = np.array(scenario.place), WORKING_REACH * body.outline.reach
     top = scenario.body.pose.lift + body.thickness
     low, high = place - reach, place + reach
     # Only electrodes over the box bound it; without them the body may roll as high as it may roll far.
@@ -185,8 +234,13 @@ def working_box(
     return np.array([*low, 0.0]), np.array([*high, ceiling])
 
 
-def build_mechanics(scenario: Scenario, body: Body, elastic: Elastic | None = None) -> Mechanics:
-    """Stiffness, masses, weights and contact of the body in its solution; of the scenario's material, or `elastic`."""
+def build_mechanics(
+    scenario: Scenario, body: Body, elastic: Elastic | None = None, dissection: Dissection | None = None
+) -> Mechanics:
+    """Stiffness, masses, weights and contact of the body in its solution; of the scenario's material, or `elastic`.
+
+    The `dissection` of the same body may be given, it takes longest.
+    """
     material, solution, simulation = scenario.material, scenario.solution, scenario.simulation
     weight = net_weight(body.node_volume, material.density, solution.density)
     heaviest = np.maximum(np.abs(weight), LIGHTEST * net_weight(body.node_volume, material.density, 0.0))
@@ -196,7 +250,7 @@ def build_mechanics(scenario: Scenario, body: Body, elastic: Elastic | None = No
     own_friction = scenario.tank.friction if material.self_friction is None else material.self_friction
     return Mechanics(
         elastic=elastic,
-        dissection=dissect(body.nodes, np.asarray(node_pairs(elastic))),
+        dissection=dissect(body.nodes, np.asarray(node_pairs(elastic))) if dissection is None else dissection,
         node_mass=jnp.asarray(material.density * body.node_volume),
         weight=jnp.asarray(weight),
         obstacles=obstacles(scenario),

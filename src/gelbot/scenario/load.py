@@ -62,11 +62,11 @@ def load(name_or_path: str, overrides: Sequence[str] = ()) -> Loaded:
         text = with_overrides(text, overrides)
         data = _parsed(text, name_or_path)
     overridden = override_keys(overrides)
-    scenario = _checked(data, name_or_path, folder, overridden)
+    scenario = checked(data, name_or_path, folder, overridden)
     changes = _without_files(scenario)
     if changes:
         text = with_changes(text, changes)
-        scenario = _checked(_parsed(text, name_or_path), name_or_path, folder, overridden)
+        scenario = checked(_parsed(text, name_or_path), name_or_path, folder, overridden)
     return Loaded(scenario, text, name_or_path)
 
 
@@ -120,7 +120,8 @@ def _parsed(text: str, source: str) -> dict[str, Any]:
         raise BadInput(source, "lists within lists without end", "TOML of a scenario") from error
 
 
-def _checked(data: dict[str, Any], source: str, folder: Path, overridden: tuple[str, ...]) -> Scenario:
+def checked(data: dict[str, Any], source: str, folder: Path = Path(), overridden: tuple[str, ...] = ()) -> Scenario:
+    """The scenario of parsed TOML; `source` and the keys that were `overridden` are for messages. Raises `BadInput`."""
     from pydantic import ValidationError
 
     from gelbot.scenario.explain import explained

@@ -33,11 +33,11 @@ def with_changes(text: str, changes: Sequence[Change]) -> str:
     """`text` (valid TOML) with `changes` made in turn; raises `BadInput` for a path that leads nowhere."""
     plain = tomllib.loads(text)
     for path, value in changes:
-        _put(plain, path, deepcopy(value))
+        put(plain, path, deepcopy(value))
     try:
         document = tomlkit.parse(text)
         for path, value in changes:
-            _put(document, path, deepcopy(value))
+            put(document, path, deepcopy(value))
         changed = tomlkit.dumps(document)
         if tomllib.loads(changed) == plain:
             return changed
@@ -63,7 +63,8 @@ def _change(override: str) -> Change:
     return path, read["value"] if len(read) == 1 else value
 
 
-def _put(document: Any, path: list[str], value: object) -> None:
+def put(document: Any, path: list[str], value: object) -> None:
+    """Set the value at `path` of parsed TOML, in place; raises `BadInput` for a path that leads nowhere."""
     table = document
     for part in path[:-1]:
         if isinstance(table, dict) and part not in table:

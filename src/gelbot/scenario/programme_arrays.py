@@ -16,6 +16,8 @@ from gelbot.plan.trajectory import no_faster, rise
 from gelbot.scenario.programmes import Reference, Until
 from gelbot.scenario.schema import Scenario
 
+UP = (0.0, 0.0, 1.0)
+
 
 def build_programme(scenario: Scenario, array: ElectrodeArray, tips: int) -> Programme:
     """The phases as arrays, for a body of so many `tips`; conditions that a phase does not name are out of reach.
@@ -24,13 +26,14 @@ def build_programme(scenario: Scenario, array: ElectrodeArray, tips: int) -> Pro
     """
     programme, servo = scenario.programme, scenario.programme.servo
     times, heights = _reference(programme.reference, scenario.body.thickness / 2.0)
-    reference = programme.reference or Reference(height=1.0, duration=1.0)
+    # Without a reference the servo, if there is one, holds the centre's height.
+    point, axis = (0, UP) if programme.reference is None else (programme.reference.point, programme.reference.axis)
     followed = np.zeros((3, 1 + tips))
-    followed[:, _point(reference.point, tips, "programme.reference.point")] = reference.axis
+    followed[:, _point(point, tips, "programme.reference.point")] = axis
     return Programme(
         phases=build_phases(scenario, array, tips),
         followed=jnp.asarray(followed),
-        from_start=jnp.asarray(reference.axis[2] == 0.0),
+        from_start=jnp.asarray(axis[2] == 0.0),
         reference_times=jnp.asarray(times),
         reference_heights=jnp.asarray(heights),
         kp=jnp.asarray(0.0 if servo is None else servo.kp),
@@ -66,7 +69,7 @@ def _point(number: int, tips: int, where: str) -> int:
 
 def build_phases(scenario: Scenario, array: ElectrodeArray, tips: int) -> Phases:
     """The phases of the programme as arrays, see `build_programme`."""
-    phases, place = scenario.programme.phases, np.array(scenario.body.pose.position)
+    phases, place = scenario.programme.phases, np.array(scenario.place)
     names = [phase.name for phase in phases]
     patterns = [
         superposition(phase.weights, array, place) if phase.shares is None else np.array(phase.shares)

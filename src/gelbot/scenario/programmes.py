@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from gelbot.errors import NOTHING, BadInput
 from gelbot.plan.templates import TEMPLATES
-from gelbot.scenario.fields import Angle, Checked, Coordinate, Dimension, Length, Number, Table, Time, wrong
+from gelbot.scenario.fields import Angle, Checked, Coordinate, Dimension, Length, Number, Several, Table, Time, wrong
 from gelbot.units import allowed_quantity, quantity, shown
 
 SHARE = Number(ge=-1, le=1)
@@ -259,9 +259,13 @@ class Phase(Table):
 
 
 class Programme(Table):
-    """What is done: `phases` one after the other, a tick every `control_period` [s]."""
+    """What is done: `phases` one after the other, a tick every `control_period` [s].
+
+    `place` [m]: where it is meant to be done, which picks the robot's electrode; None: where the body lies.
+    """
 
     control_period: Time
+    place: Annotated[tuple[float, float], Several(Dimension("m"), (2,))] | None = None
     reference: Reference | None = None
     servo: ServoGains | None = None
     phases: Annotated[tuple[Phase, ...], Field(min_length=1)]

@@ -13,9 +13,11 @@ from pydantic import Field, model_validator
 from gelbot.scenario.bodies import Body
 from gelbot.scenario.electrodes import Electrodes
 from gelbot.scenario.fields import Table, check_multiple
+from gelbot.scenario.motions import Motion
 from gelbot.scenario.obstacle_shapes import AnyObstacle
 from gelbot.scenario.placement import check_gel_is_clear, check_reach, check_tank, check_voltages
 from gelbot.scenario.programmes import Programme
+from gelbot.scenario.ranges import Scatter
 from gelbot.scenario.tables import Material, Recording, Simulation, Solution, Supply, Tank
 
 
@@ -32,8 +34,15 @@ class Scenario(Table):
     obstacles: tuple[AnyObstacle, ...] = ()
     supply: Supply
     programme: Programme
+    motion: Motion | None = None
+    scatter: Scatter = Field(default_factory=dict)
     simulation: Simulation
     recording: Recording
+
+    @property
+    def place(self) -> tuple[float, float]:
+        """Where in x and y [m] the programme is meant to be done, and around which the field is tabulated."""
+        return self.body.pose.position if self.programme.place is None else self.programme.place
 
     @model_validator(mode="after")
     def _fits_together(self) -> Scenario:

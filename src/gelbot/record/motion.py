@@ -1,0 +1,164 @@
+"""How far a run came towards its motion's goals: when each was reached, or what was missing."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from gelbot.record.wrap import wrapped
+from gelbot.scenario.motions import UNITS, Goal
+from gelbot.scenario.schema import Scenario
+from gelbot.units import shown
+
+Floats = NDArray[np.float64]
+
+SCALES = {"m": 1e-3, "rad": np.radians(30.0), "": 0.5}
+"""Shortfalls of different units are added up: this much of each counts as one."""
+
+
+class Reached(NamedTuple):
+    """`times` [s] at which the goals were reached, as many as were; the whole motion is `met` when all are.
+
+    `shortfall`: what is missing at best, in units of `SCALES`, 0 when met; `reason`: the first goal that was not
+    reached, in words, empty when met; `best`: the nearest value that came to it, NaN when met.
+    """
+
+    met: bool
+    times: tuple[float, ...]
+    shortfall: float
+    reason: str
+    best: float
+
+
+def quantity_of(goal: Goal, run: xr.Dataset, scenario: Scenario) -> Floats:
+    """The goal's quantity at all frames, shape (k,)."""
+    if goal.quantity == "normal":
+        return _values(run, "normal")[:, 2]
+    if goal.quantity == "tip_angle":
+        return _values(run, "tip_angle").max(axis=1)
+    if goal.quantity == "wrap":
+        return wrapped(run, scenario)
+    points = np.concatenate([_values(run, "centre")[..., None], _values(run, "tip_position")], axis=2)
+    if goal.point >= points.shape[2]:
+        return np.full(len(points), np.nan)
+    place = points[:, :, goal.point]
+    if goal.quantity == "height":
+        return place[:, 2]
+    assert scenario.motion is not None
+    assert scenario.motion.direction is not None  # checked by the table
+    angle = scenario.motion.direction + (np.pi / 2.0 if goal.quantity == "across" else 0.0)
+    start = _start(run, goal.point)
+    return (place[:, :2] - start) @ np.array([np.cos(angle), np.sin(angle)])
+
+
+def _start(run: xr.Dataset, point: int) -> Floats:
+    """Where an essential point was at the start [m], in x and y: as the static part knows it, or the first frame."""
+    if "start_point" in run:
+        return run["start_point"].transpose("space", "point").values[:2, point]
+    first = _values(run, "centre")[0] if point == 0 else _values(run, "tip_position")[0, :, point - 1]
+    return first[:2]
+
+
+def reach(run: xr.Dataset, scenario: Scenario) -> Reached:
+    """How far `run` came. Needs the positions only for goals that are of the whole body (wrap).
+
+    A goal is reached at the first time from which on its quantity keeps within its bounds for `lasting` [s]; it counts
+    from when the goal before it has lasted. Of all such sequences the one with the least shortfall is taken, by
+    dynamic programming over the frames, and of equals the earliest.
+    """
+    assert scenario.motion is not None
+    goals, time = scenario.motion.goals, _values(run, "time")
+    count = len(time)
+    if count == 0:
+        return Reached(False, (), float("inf"), "the run has no frames", float("nan"))
+    step = float(time[0]) if count == 1 else float(time[1] - time[0])
+    # best[k]: least sum of the goals so far, the last of which has lasted by frame k; chosen: when it began.
+    best, chosen, misses = np.zeros(count + 1), [], []
+    for goal in goals:
+        miss = _miss(goal, quantity_of(goal, run, scenario))
+        frames = max(1, round((goal.lasting or 0.0) / step))
+        if goal.to_the_end:
+            worst = np.maximum.accumulate(miss[::-1])[::-1]
+            worst[max(0, count - frames + 1) :] = np.inf
+            ends = np.full(count, count)
+        else:
+            worst = _worst_within(miss, frames)
+            ends = np.minimum(np.arange(count) + frames, count)
+        total = best[:count] + worst
+        # The earliest of the best beginnings whose window ends by frame k.
+        later, began = np.full(count + 1, np.inf), np.full(count + 1, -1)
+        for k in range(count):
+            if total[k] < later[ends[k]]:
+                later[ends[k]], began[ends[k]] = total[k], k
+        for k in range(1, count + 1):
+            if later[k - 1] <= later[k]:
+                later[k], began[k] = later[k - 1], began[k - 1]
+        best = later
+        chosen.append(began)
+        misses.append(worst)
+    return _told(scenario, run, time, best, chosen, misses)
+
+
+def _told(
+    scenario: Scenario, run: xr.Dataset, time: Floats, best: Floats, chosen: list[Any], misses: list[Floats]
+) -> Reached:
+    assert scenario.motion is not None
+    goals, at, begins = scenario.motion.goals, len(time), []
+    for began in reversed(chosen):
+        begins.append(int(began[at]))
+        at = max(begins[-1], 0)
+    begins.reverse()
+    if min(begins) < 0:
+        first = begins.index(-1)
+        reason = f"goal {first + 1} ({worded(goals[first])}) needs a longer run"
+        return Reached(False, (), float("inf"), reason, float("nan"))
+    shortfall = float(best[-1])
+    for index, (goal, begin, miss) in enumerate(zip(goals, begins, misses, strict=True)):
+        if miss[begin] > 0.0:
+            values = quantity_of(goal, run, scenario)
+            nearest = float(values[int(np.argmin(_miss(goal, values)))])
+            unit = UNITS[goal.quantity]
+            said = shown(nearest, unit) if unit else f"{nearest:.3g}"
+            kept = ""
+            if _miss(goal, values).min() <= 0.0:
+                kept = " (reached, but not kept)"
+            reason = f"goal {index + 1} ({worded(goal)}) not met: nearest {said}{kept}"
+            return Reached(False, tuple(float(time[b]) for b in begins[:index]), shortfall, reason, nearest)
+    return Reached(True, tuple(float(time[b]) for b in begins), 0.0, "", float("nan"))
+
+
+def worded(goal: Goal) -> str:
+    """A goal in words: "height at least 3 mm for 20 s"."""
+    unit = UNITS[goal.quantity]
+
+    def value(bound: float) -> str:
+        return shown(bound, unit) if unit else f"{bound:g}"
+
+    name = goal.quantity if goal.point == 0 else f"{goal.quantity} of tip {goal.point}"
+    low = "" if goal.at_least is None else f" at least {value(goal.at_least)}"
+    high = "" if goal.at_most is None else f" at most {value(goal.at_most)}"
+    lasting = "" if goal.lasting is None else f" for {goal.lasting:g} s"
+    return f"{name}{low}{' and' if low and high else ''}{high}{lasting}{', to the end' if goal.to_the_end else ''}"
+
+
+def _miss(goal: Goal, values: Floats) -> Floats:
+    """How far `values` are outside the goal's bounds, in units of `SCALES`; infinite where they are not finite."""
+    low = -np.inf if goal.at_least is None else goal.at_least
+    high = np.inf if goal.at_most is None else goal.at_most
+    outside = np.maximum(np.maximum(low - values, values - high), 0.0) / SCALES[UNITS[goal.quantity]]
+    return np.where(np.isfinite(values), outside, np.inf)
+
+
+def _worst_within(miss: Floats, frames: int) -> Floats:
+    """The largest of `miss` from each frame on, over so many `frames`; infinite where the run ends before."""
+    if frames > len(miss):
+        return np.full(len(miss), np.inf)
+    windows = np.lib.stride_tricks.sliding_window_view(miss, frames).max(axis=1)
+    return np.concatenate([windows, np.full(frames - 1, np.inf)])
+
+
+def _values(run: xr.Dataset, name: str) -> NDArray[Any]:
+    return run[name].transpose("time", ...).values
