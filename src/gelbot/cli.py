@@ -187,6 +187,63 @@ def field(
         typer.echo(f"results in {folder}")
 
 
+@app.command()
+def study(
+    scenario: Annotated[str | None, typer.Argument(help="A built-in scenario or a scenario file.")] = None,
+    runs: Annotated[int, typer.Option("-n", "--runs", help="How many runs.")] = 100,
+    seed: Annotated[int, typer.Option(help="The same seed gives the same robots, whatever the controller.")] = 1,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=RANGE",
+            help="What scatters, beside the scenario's own [scatter]: material.p_l='+-10 %', "
+            "body.thickness='0.9 mm .. 1.1 mm', 'normal 5 %', '4 mm | 5 mm'; fixed takes a key out. Repeatable.",
+        ),
+    ] = None,
+    controller: Annotated[
+        list[str] | None,
+        typer.Option(help="template, servo or planned; several are compared on the same robots. (default: servo)"),
+    ] = None,
+    programme: Annotated[Path | None, typer.Option(help="The programme file of --controller planned.")] = None,
+    changes: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one value. Repeatable.")
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Send the runs to this dask.distributed scheduler.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for the results. (default: studies/NAME)")] = None,
+    resume: Annotated[Path | None, typer.Option(metavar="DIR", help="Go on with a study that was stopped.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print study.json, and nothing else.")] = False,
+) -> None:
+    """Run a scenario many times, with what is never known exactly scattered, and count how often it works."""
+    with plain_errors():
+        from gelbot.study.command import Asked, conduct
+
+        folder = resume
+        if folder is None:
+            if scenario is None:
+                raise BadInput("scenario", "nothing", "a scenario, or --resume with the folder of a study", "turn-over")
+            from gelbot.scenario import load
+
+            loaded = load(scenario, changes or [])
+            folder = _folder(out, "studies", loaded.scenario.name)
+            asked = Asked(loaded, runs, seed, tuple(vary or ()), tuple(controller or ("servo",)), programme)
+        else:
+            asked = None
+            if scenario is not None or changes or vary or controller or programme or out:
+                raise BadInput("--resume", str(resume), "alone: what was asked for stands in the folder")
+        try:
+            made = conduct(folder, asked, scheduler, progress=not as_json)
+        except KeyboardInterrupt:
+            typer.echo(f"gelbot: stopped. gelbot study --resume {folder} goes on", err=True)
+            sys.stderr.flush()
+            os._exit(STOPPED)
+    if as_json:
+        _print_json(made)
+    else:
+        typer.echo(f"results in {folder}")
+
+
 def _folder(out: Path | None, base: str, name: str) -> Path:
     """Where results go: to `out`, or to a folder of `base` that is still free."""
     from gelbot.record.result_folder import checked_folder, free_folder

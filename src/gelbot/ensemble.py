@@ -12,13 +12,15 @@ from farther away: on a CPU that is slower, see docs/performance.md.
 from __future__ import annotations
 
 import os
+import signal
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from copy import deepcopy
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from threading import Thread
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
@@ -83,8 +85,16 @@ def march_all(
 @contextmanager
 def workers(processes: int) -> Iterator[Executor]:
     """As many processes that compute robots. The engine's threads do not survive a fork: each is started anew."""
-    with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
+    with ProcessPoolExecutor(processes, get_context("spawn"), _obey) as pool:
         yield pool
+
+
+def _obey() -> None:
+    """A worker leaves Ctrl-C to its parent, and ends when that is gone, however it went."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+    if parent is not None:
+        Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
 
 
 @contextmanager

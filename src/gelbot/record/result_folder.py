@@ -14,6 +14,7 @@ MARKS = {
     "field.json": "a field",
     "field.nc": "a field",
     "points.csv": "points of a field",
+    "request.json": "a study",
 }
 """A folder that holds one of these holds results."""
 
@@ -29,7 +30,7 @@ def free_folder(base: Path, name: str) -> Path:
 
 def checked_folder(folder: Path) -> Path:
     """`folder`, to which results can be written; it need not exist yet. Raises `BadInput` otherwise; leaves nothing."""
-    allowed = "a folder that does not exist yet, or one without a run or a field in it"
+    allowed = "a folder that does not exist yet, or one without results in it"
     try:
         held = _held(folder)
         if held is not None:

@@ -1,0 +1,110 @@
+"""Who drives a robot: the same scenario under different controllers, to be compared on the same robots.
+
+template     open loop: the voltages and switch times that the scenario's own programme had on its nominal robot
+servo        the scenario's own programme: Section IV-E, the servo with its events
+planned      a programme that was planned for the scenario (`gelbot plan`), from a file or as it comes with gelbot
+"""
+
+from __future__ import annotations
+
+import tomllib
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gelbot.ensemble import Changes, Outcome, outcome
+from gelbot.errors import BadInput
+from gelbot.scenario.load import Loaded, checked
+from gelbot.scenario.overrides import with_changes
+
+CONTROLLERS = ("template", "servo", "planned")
+SAMPLES = 0.5
+"""Voltages of a nominal run are kept this often [s], straight lines between."""
+
+
+def with_controller(loaded: Loaded, controller: str, programme: Path | None = None) -> Loaded:
+    """`loaded` with the programme of `controller`; `programme` is the file of a planned one.
+
+    Raises `BadInput` for a controller that does not exist, and for a scenario for which nothing was planned.
+    """
+    if controller not in CONTROLLERS:
+        raise BadInput("--controller", controller, "one of " + ", ".join(CONTROLLERS))
+    if controller == "template":
+        return with_programme(loaded, _open_loop(loaded))
+    if controller == "planned":
+        return with_programme(loaded, planned(loaded, programme))
+    return loaded
+
+
+def with_programme(loaded: Loaded, programme: dict[str, Any]) -> Loaded:
+    """`loaded` with another [programme], given as parsed TOML."""
+    text = with_changes(loaded.text, [(["programme"], programme)])
+    return Loaded(checked(tomllib.loads(text), loaded.source), text, loaded.source)
+
+
+def planned(loaded: Loaded, programme: Path | None) -> dict[str, Any]:
+    """The [programme] of the file, or of the one that comes with gelbot for the scenario of this name."""
+    if programme is None:
+        found = files("gelbot.scenario") / "library" / "programmes" / f"{loaded.scenario.name}.toml"
+        if not found.is_file():
+            allowed = (
+                f"a scenario with a planned programme, or the file of one; there is none for {loaded.scenario.name}"
+            )
+            raise BadInput("--controller", "planned", allowed, f"gelbot plan {loaded.source}, then --programme FILE")
+        text, place = found.read_text(encoding="utf-8"), found.name
+    else:
+        text, place = _text_of(programme), str(programme)
+    try:
+        table = tomllib.loads(text).get("programme")
+    except tomllib.TOMLDecodeError as error:
+        raise BadInput(place, str(error), "TOML with a table [programme]") from error
+    if not isinstance(table, dict):
+        raise BadInput(place, "no table [programme]", "a programme file of gelbot plan, or a scenario")
+    return table
+
+
+def _text_of(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not text"
+        raise BadInput("--programme", str(path), f"a programme file that can be read ({reason})") from error
+
+
+def _open_loop(loaded: Loaded) -> dict[str, Any]:
+    """What the scenario's programme does to its nominal robot, without looking at it: "desired trajectory and nominal
+    input electric fields were generated simultaneously" (Section IV-D)."""
+    nominal = outcome(loaded, 0, {})
+    time, phase = nominal.frames["time"].values, nominal.frames["phase"].values
+    amplitude = nominal.frames["amplitude"].values
+    data = tomllib.loads(loaded.text)["programme"]
+    period = loaded.scenario.programme.control_period
+    phases = []
+    # Frames are at the ends of control periods.
+    starts = [0, *(np.flatnonzero(np.diff(phase)) + 1)]
+    for number, start in enumerate(starts):
+        end = starts[number + 1] if number + 1 < len(starts) else len(time)
+        own = data["phases"][int(phase[start])]
+        places = np.unique([*range(start, end, max(1, round(SAMPLES / period))), end - 1])
+        ages = (places - start) * period
+        volts = amplitude[places]
+        replayed = {
+            "name": f"{own['name']}" if number == int(phase[start]) else f"{own['name']} {number + 1}",
+            "pattern": own["pattern"],
+            "drive": [[f"{age:.6g} s", f"{float(volt)!r} V"] for age, volt in zip(ages, volts, strict=True)],
+        }
+        if len(places) == 1:
+            replayed["drive"] = f"{float(volts[0])!r} V"
+        if number + 1 < len(starts):
+            replayed["until"] = {"after": f"{(end - start) * period:.6g} s"}
+        phases.append(replayed)
+    kept = {key: data[key] for key in ("control_period", "place") if key in data}
+    return {**kept, "phases": phases}
+
+
+def outcome_with(controller: str, loaded: Loaded, index: int, robot: Changes) -> Outcome:
+    """The run of one robot under `controller`, for which `loaded` has been prepared by `with_controller`."""
+    assert controller in CONTROLLERS
+    return outcome(loaded, index, robot)

@@ -1,0 +1,119 @@
+"""A study from its request to its folder: computed in batches, resumable, reported."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from gelbot import __version__
+from gelbot.controllers import with_controller
+from gelbot.ensemble import workers
+from gelbot.errors import BadInput, GelbotError
+from gelbot.record.whole_file import write_text
+from gelbot.scenario.load import Loaded, load
+from gelbot.study.batches import Task, batches, rows_of, run_batches
+from gelbot.study.report import Report, report, write_report
+from gelbot.study.scatter import spreads
+
+REQUEST, SCENARIO = "request.json", "scenario.toml"
+BATCH = 10
+"""Runs of a batch: some seconds, which is what a kill can lose."""
+
+OnRows = Callable[[list[dict[str, Any]]], None]
+"""Is told the rows of each batch that is done."""
+
+
+class Request(NamedTuple):
+    """What a study was asked for, `runs` of them: all that its numbers depend on."""
+
+    runs: int
+    seed: int
+    vary: tuple[str, ...]
+    controller: str
+    batch: int = BATCH
+
+
+def begin_study(loaded: Loaded, request: Request, folder: Path, programme: Path | None = None) -> None:
+    """Write request and scenario into `folder`, from where the study can go on. Raises `BadInput` before that."""
+    if request.runs < 1:
+        raise BadInput("-n", request.runs, "1 run or more")
+    if request.batch < 1:
+        raise BadInput("batch", request.batch, "1 run or more")
+    if loaded.scenario.motion is None:
+        allowed = "a table [motion] that says what shall happen: a study counts how often it does"
+        raise BadInput(f"{loaded.source}: motion", "nothing", allowed, "gelbot show turn-over")
+    spreads(loaded, request.vary)
+    prepared = with_controller(loaded, request.controller, programme)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_text(folder / SCENARIO, prepared.text)
+    asked = {**request._asdict(), "source": loaded.source, "gelbot": __version__}
+    write_text(folder / REQUEST, json.dumps(asked, indent=2) + "\n")
+
+
+def asked_in(folder: Path) -> tuple[Loaded, Request]:
+    """The study that was begun in `folder`. Raises `BadInput` where there is none, or another gelbot's."""
+    try:
+        asked = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise BadInput("--resume", str(folder), "the folder of a study (request.json)") from error
+    if asked["gelbot"] != __version__:
+        allowed = f"a study of gelbot {__version__}: with another one its runs would not be alike"
+        raise BadInput("--resume", f"{folder}, begun with gelbot {asked['gelbot']}", allowed)
+    loaded = load(str(folder / SCENARIO))
+    request = Request(asked["runs"], asked["seed"], tuple(asked["vary"]), asked["controller"], asked["batch"])
+    return Loaded(loaded.scenario, loaded.text, asked["source"]), request
+
+
+def run_study(folder: Path, executor: Executor | None = None, on_rows: OnRows | None = None) -> Report:
+    """Compute what is missing of the study in `folder`, and report all of it.
+
+    Batches go to `executor`, or to a process for each core. The report does not depend on where and in how many goes
+    they were computed.
+    """
+    loaded, request = asked_in(folder)
+    task = Task(loaded, request.vary, request.seed, request.controller)
+    every = batches(folder, request.runs, request.batch)
+    open_ones = [batch for batch in every if not batch.file.exists()]
+    tell = on_rows or (lambda rows: None)
+    for batch in every:
+        if batch not in open_ones:
+            tell(rows_of(batch))
+    if open_ones:
+        with _pool(executor, len(open_ones)) as pool:
+            for rows in run_batches(task, open_ones, pool):
+                tell(rows)
+    rows = [row for batch in every for row in rows_of(batch)]
+    made = report(loaded, request.controller, request.seed, rows)
+    write_report(made, folder)
+    return made
+
+
+@contextmanager
+def _pool(executor: Executor | None, most: int) -> Iterator[Executor]:
+    if executor is not None:
+        yield executor
+        return
+    with workers(min(most, os.cpu_count() or 1)) as pool:
+        yield pool
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[Executor]:
+    """The workers of a dask.distributed scheduler at `address`, where gelbot is installed too. Raises `GelbotError`."""
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise GelbotError("--scheduler needs dask.distributed. Try: pip install 'gelbot[cluster]'") from error
+    try:
+        client = Client(address, timeout="10s", set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise BadInput(
+            "--scheduler", address, f"the address of a running scheduler, such as tcp://host:8786 ({error})"
+        ) from error
+    with client:
+        yield client.get_executor()

@@ -1,0 +1,100 @@
+"""`gelbot study`: one or several controllers on the same robots, with a progress bar and a table."""
+
+from __future__ import annotations
+
+import json
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from gelbot.controllers import CONTROLLERS
+from gelbot.errors import BadInput
+from gelbot.record.whole_file import write_text
+from gelbot.scenario.load import Loaded
+from gelbot.show.study_table import print_comparison, print_study
+from gelbot.study.campaign import REQUEST, Request, begin_study, cluster, run_study
+from gelbot.study.compare import compare
+from gelbot.study.report import Report
+
+COMPARISON = "comparison.json"
+
+
+class Asked(NamedTuple):
+    """A study as it was asked for on the command line."""
+
+    loaded: Loaded
+    runs: int
+    seed: int
+    vary: tuple[str, ...]
+    controllers: tuple[str, ...]
+    programme: Path | None
+
+
+def conduct(folder: Path, asked: Asked | None, scheduler: str | None, progress: bool) -> dict[str, Any]:
+    """Begin the study in `folder`, or go on with it where nothing is `asked`; print it, and return what --json prints.
+
+    One controller has the folder to itself. Several have a folder each in it, and what sets them apart is written to
+    comparison.json.
+    """
+    if asked is not None:
+        _begin(folder, asked)
+    parts = [folder] if (folder / REQUEST).exists() and not _parts(folder) else _parts(folder)
+    if not parts:
+        raise BadInput("--resume", str(folder), "the folder of a study (request.json)")
+    with nullcontext() if scheduler is None else cluster(scheduler) as executor:
+        made = [_run(part, executor, progress) for part in parts]
+    if len(made) == 1:
+        if progress:
+            print_study(made[0].study)
+        return made[0].study
+    comparison = compare(made)
+    write_text(folder / COMPARISON, json.dumps(comparison, indent=2) + "\n")
+    if progress:
+        print_comparison(comparison)
+    return comparison
+
+
+def _begin(folder: Path, asked: Asked) -> None:
+    several = len(asked.controllers) > 1
+    if len(set(asked.controllers)) < len(asked.controllers):
+        raise BadInput("--controller", " ".join(asked.controllers), "each once")
+    for controller in asked.controllers:
+        if controller not in CONTROLLERS:
+            raise BadInput("--controller", controller, "one of " + ", ".join(CONTROLLERS))
+    for controller in asked.controllers:
+        request = Request(asked.runs, asked.seed, asked.vary, controller)
+        begin_study(asked.loaded, request, folder / controller if several else folder, asked.programme)
+    if several:
+        write_text(folder / REQUEST, json.dumps({"controllers": asked.controllers}, indent=2) + "\n")
+
+
+def _parts(folder: Path) -> list[Path]:
+    return [folder / name for name in CONTROLLERS if (folder / name / REQUEST).exists()]
+
+
+def _run(folder: Path, executor: Any, progress: bool) -> Report:
+    """One controller's study, with a bar that says how many have worked so far."""
+    console = Console(stderr=True)
+    asked = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=28),
+        TextColumn("{task.completed:.0f} of {task.total:.0f} runs"),
+        TextColumn("[bold]{task.fields[met]} met"),
+        TimeRemainingColumn(),
+        console=console,
+        disable=not (progress and console.is_terminal),
+    )
+    with bar:
+        task = bar.add_task(asked.get("controller", ""), total=asked.get("runs", 0), met=0)
+        met = 0
+
+        def tell(rows: list[dict[str, Any]]) -> None:
+            nonlocal met
+            met += sum(row["met"] for row in rows)
+            bar.update(task, advance=len(rows), met=met)
+
+        return run_study(folder, executor, tell)
