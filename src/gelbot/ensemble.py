@@ -29,8 +29,8 @@ import xarray as xr
 
 from gelbot.engine import keep_compiled, prepare_engine
 from gelbot.errors import BadInput, GelbotError
+from gelbot.motion.reach import Reached, reach
 from gelbot.points import observe
-from gelbot.record.motion import Reached, reach
 from gelbot.record.summary import summarise
 from gelbot.run import Programs, frames_part, good_frames, march
 from gelbot.scenario.build import Experiment, build, disturbed

@@ -47,9 +47,8 @@ def _table(studies: list[Mapping[str, Any]], title: str) -> Table:
     for study in studies:
         table.add_column(str(study["controller"]), justify="right")
     table.add_row("met", *(f"{s['successes']} of {s['n']}" for s in studies))
-    table.add_row(
-        "rate, 95 % interval", *(f"{s['rate']:.3f} ({s['ci_low']:.3f} - {s['ci_high']:.3f})" for s in studies)
-    )
+    rates = (f"{s['rate']:.3f} ({s['ci_low']:.3f} - {s['ci_high']:.3f})" for s in studies)
+    table.add_row("rate, 95 % interval", *rates)
     for label, key, form in ROWS:
         table.add_row(Text(label), *(_spread(s["distributions"][key], form) for s in studies))
     table.caption = "median (5 % - 95 %) of the runs that met the motion"

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from gelbot.record.wrap import wrapped
+from gelbot.motion.wrap import wrapped
 from gelbot.scenario.motions import UNITS, Goal
 from gelbot.scenario.schema import Scenario
 from gelbot.units import shown
