@@ -26,6 +26,10 @@ STOPPED = 130
 """Exit code after Ctrl-C, as shells have it."""
 
 
+UNMET = 3
+"""Exit code of a search that found no programme for what was asked."""
+
+
 @contextmanager
 def plain_errors() -> Iterator[None]:
     """Say an error on one line and leave: with 2 for bad input, 1 for the rest. Other faults are not caught."""
@@ -242,6 +246,76 @@ def study(
         _print_json(made)
     else:
         typer.echo(f"results in {folder}")
+
+
+@app.command()
+def plan(
+    scenario: Annotated[str | None, typer.Argument(help="A built-in scenario or a scenario file.")] = None,
+    choose: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=RANGE",
+            help="What may be chosen, beside the scenario's own [search]: programme.phases.0.drive='2 V .. 10 V'; "
+            "a pattern that is a list is free on every electrode. fixed takes a key out. Repeatable.",
+        ),
+    ] = None,
+    robots: Annotated[
+        int, typer.Option(help="Robots on which each candidate is tried, the first without scatter.")
+    ] = 6,
+    generations: Annotated[int, typer.Option(help="Generations of candidates, at most.")] = 20,
+    population: Annotated[
+        int | None, typer.Option(help="Candidates of a generation. (default: from their size)")
+    ] = None,
+    check: Annotated[
+        int, typer.Option(help="Robots, none of them used in the search, on which the best is tried.")
+    ] = 50,
+    seed: Annotated[int, typer.Option(help="The same seed finds the same programme.")] = 1,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(metavar="KEY=RANGE", help="What scatters, beside the scenario's own [scatter]. Repeatable."),
+    ] = None,
+    programme: Annotated[Path | None, typer.Option(help="Begin with the programme of this file.")] = None,
+    changes: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one value. Repeatable.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for the results. (default: plans/NAME)")] = None,
+    resume: Annotated[Path | None, typer.Option(metavar="DIR", help="Go on with a search that was stopped.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print plan.json, and nothing else.")] = False,
+) -> None:
+    """Find a programme of voltages for a scenario's motion that works for all that scatters, at the least cost."""
+    with plain_errors():
+        from gelbot.planner.command import Asked, seek
+
+        folder = resume
+        if folder is None:
+            if scenario is None:
+                raise BadInput(
+                    "scenario", "nothing", "a scenario, or --resume with the folder of a search", "turn-over"
+                )
+            from gelbot.controllers import planned, with_programme
+            from gelbot.scenario import load
+
+            loaded = load(scenario, changes or [])
+            if programme is not None:
+                loaded = with_programme(loaded, planned(loaded, programme))
+            folder = _folder(out, "plans", loaded.scenario.name)
+            asked = Asked(tuple(choose or ()), tuple(vary or ()), robots, generations, population, check, seed)
+        else:
+            loaded = asked = None
+            if scenario is not None or changes or vary or choose or programme or out:
+                raise BadInput("--resume", str(resume), "alone: what was asked for stands in the folder")
+        try:
+            found = seek(folder, loaded, asked, progress=not as_json)
+        except KeyboardInterrupt:
+            typer.echo(f"gelbot: stopped. gelbot plan --resume {folder} goes on", err=True)
+            sys.stderr.flush()
+            os._exit(STOPPED)
+    if as_json:
+        _print_json(found)
+    else:
+        typer.echo(f"results in {folder}")
+    if not found["met"]:
+        raise typer.Exit(UNMET)
 
 
 def _folder(out: Path | None, base: str, name: str) -> Path:

@@ -23,14 +23,18 @@ def impossible(loaded: Loaded) -> str:
     assert scenario.motion is not None
     outline = scenario.body.outline()
     arm = outline.reach + scenario.body.thickness
-    low, high = (f([e.bounds[k] for e in scenario.electrodes.array.electrodes], axis=0) for k, f in ((0, np.min), (1, np.max)))
+    electrodes = scenario.electrodes.array.electrodes
+    low, high = (
+        reach([electrode.bounds[k] for electrode in electrodes], axis=0) for k, reach in ((0, np.min), (1, np.max))
+    )
     for number, goal in enumerate(scenario.motion.goals):
         said = f"goal {number + 1} ({worded(goal)})"
-        ceiling = min((float(e.bounds[0][2]) for e in scenario.electrodes.array.electrodes), default=np.inf)
+        ceiling = float(low[2])
         least = -np.inf if goal.at_least is None else goal.at_least
         if goal.quantity == "height" and goal.point == 0 and least > min(arm, ceiling):
-            limit = f"the body reaches {shown(arm, 'm')} from its centre" if arm <= ceiling else "the electrodes are lower"
-            return f"{said}: {limit}, and no programme makes it longer"
+            if arm <= ceiling:
+                return f"{said}: the body reaches {shown(arm, 'm')} from its centre, and no programme makes it longer"
+            return f"{said}: the electrodes hang at {shown(ceiling, 'm')}"
         if goal.quantity == "normal" and (least > 1.0 or (goal.at_most is not None and goal.at_most < -1.0)):
             return f"{said}: a unit vector's z is between -1 and 1"
         if goal.quantity in ("along", "across"):
@@ -52,7 +56,8 @@ def limited_by(search: Search, best: Candidate) -> list[str]:
     for one in search.choices:
         shares = best.shares[at : at + one.size]
         at += one.size
-        ends = [word for word, beyond in (("low", shares < AT_BOUND), ("high", shares > 1.0 - AT_BOUND)) if beyond.any()]
+        beyond = (("low", shares < AT_BOUND), ("high", shares > 1.0 - AT_BOUND))
+        ends = [word for word, found in beyond if found.any()]
         if ends and "|" not in one.text:
             said.append(f"{one.key} is at the {' and the '.join(ends)} end of its range {one.text}")
     limit = search.loaded.scenario.supply.limit

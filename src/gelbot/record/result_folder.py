@@ -15,6 +15,7 @@ MARKS = {
     "field.nc": "a field",
     "points.csv": "points of a field",
     "request.json": "a study",
+    "asked.json": "a search for a programme",
 }
 """A folder that holds one of these holds results."""
 

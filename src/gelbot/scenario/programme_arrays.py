@@ -89,6 +89,7 @@ def build_phases(scenario: Scenario, array: ElectrodeArray, tips: int) -> Phases
         bounds: list[tuple[NDArray[np.float64], Any, float | None]] = [
             (lows, ANGLE, until.tip_angle),
             (lows, HEIGHTS, until.height),
+            (highs, HEIGHTS, until.height_below),
             (lows, NORMAL, until.normal_above),
             (highs, NORMAL, until.normal_below),
             (highs, points["contact"], scenario.body.thickness),

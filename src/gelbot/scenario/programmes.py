@@ -147,12 +147,13 @@ class ServoGains(Table):
 class Until(Table):
     """What ends a phase: its event, when all that is named has been reached, or `after` [s] at the latest.
 
-    Centre `height` [m] or more, steepest `tip_angle` [rad] or more, the normal's z at most `normal_below` or at least
-    `normal_above`, the points in `contact` on the floor, those in `lifted` off it. The event leads to the phase `then`,
-    the time to the phase `otherwise`; the next one where they are not given.
+    Centre `height` [m] or more, or `height_below` [m] or less, steepest `tip_angle` [rad] or more, the normal's z at
+    most `normal_below` or at least `normal_above`, the points in `contact` on the floor, those in `lifted` off it. The
+    event leads to the phase `then`, the time to the phase `otherwise`; the next one where they are not given.
     """
 
     height: Coordinate | None = None
+    height_below: Coordinate | None = None
     tip_angle: Angle | None = None
     normal_below: Annotated[float, Number(ge=-1, le=1)] | None = None
     normal_above: Annotated[float, Number(ge=-1, le=1)] | None = None

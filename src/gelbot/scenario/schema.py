@@ -36,6 +36,7 @@ class Scenario(Table):
     programme: Programme
     motion: Motion | None = None
     scatter: Scatter = Field(default_factory=dict)
+    search: Scatter = Field(default_factory=dict)
     simulation: Simulation
     recording: Recording
 

@@ -1,0 +1,243 @@
+"""`gelbot plan`: a search from what was asked for to a programme file, or to what limits it."""
+
+from __future__ import annotations
+
+import json
+import os
+import tomllib
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import tomlkit
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+from gelbot import __version__
+from gelbot.ensemble import workers
+from gelbot.errors import BadInput
+from gelbot.motion.reach import worded
+from gelbot.planner.limits import impossible, limited_by
+from gelbot.planner.objective import Score, score
+from gelbot.planner.search import Candidate, Search, generations
+from gelbot.record.whole_file import write_text
+from gelbot.scenario.load import Loaded, load
+from gelbot.scenario.overrides import with_changes
+from gelbot.scenario.ranges import spread
+from gelbot.show.plan_search import draw_search
+from gelbot.study.scatter import draw, spreads
+from gelbot.study.statistics import clopper_pearson, mean_of
+
+ASKED, SCENARIO, GENERATIONS = "asked.json", "scenario.toml", "generations"
+PLAN, PROGRAMME, ATTEMPT = "plan.json", "programme.toml", "best-attempt.toml"
+CHECK_SEED = 10_000
+"""Added to the seed for the robots on which the best is tried: none that the search has seen."""
+OFTEN = 0.5
+"""A programme that works on fewer than this share of the robots has not met the motion."""
+
+
+class Asked(NamedTuple):
+    """A search as it was asked for."""
+
+    choose: tuple[str, ...]
+    vary: tuple[str, ...]
+    robots: int
+    generations: int
+    population: int | None
+    check: int
+    seed: int
+
+
+def seek(folder: Path, loaded: Loaded | None, asked: Asked | None, progress: bool) -> dict[str, Any]:
+    """Search in `folder`, or go on with what was `asked` for there; returns the content of plan.json.
+
+    A motion that is met gives programme.toml, which `gelbot run` plays. One that is not gives no programme, but
+    best-attempt.toml and what limits it. Raises `BadInput` for what cannot be searched.
+    """
+    console = Console(stderr=True, quiet=not progress)
+    if asked is None or loaded is None:
+        loaded, asked = _asked_in(folder)
+        search = _search(loaded, asked)
+    else:
+        search = _search(loaded, asked)
+        folder.mkdir(parents=True, exist_ok=True)
+        write_text(folder / SCENARIO, loaded.text)
+        told = {**asked._asdict(), "source": loaded.source, "gelbot": __version__}
+        write_text(folder / ASKED, json.dumps(told, indent=2) + "\n")
+    reason = impossible(loaded)
+    if reason:
+        found = {"met": False, "asked": _goals(loaded), "best": None, "limited_by": [reason]}
+        return _ended(folder, found, console)
+    with workers(os.cpu_count() or 1) as pool:
+        history = _searched(search, asked, folder, pool, console)
+        best = min((one for made in history for one in made), key=lambda one: one.worth)
+        checked = _checked(search, asked, best, pool) if best.scores[0].met else []
+    draw_search([[_told(one) for one in made] for made in history], folder / "search.png")
+    return _ended(folder, _found(search, asked, folder, best, checked, len(history)), console)
+
+
+def _search(loaded: Loaded, asked: Asked) -> Search:
+    if loaded.scenario.motion is None:
+        allowed = "a table [motion] that says what shall happen"
+        raise BadInput(f"{loaded.source}: motion", "nothing", allowed, "gelbot show turn-over")
+    for option, value, least in (
+        ("--robots", asked.robots, 1),
+        ("--generations", asked.generations, 1),
+        ("--check", asked.check, 1),
+        ("--population", asked.population or 4, 4),
+    ):
+        if value < least:
+            raise BadInput(option, value, f"{least} or more")
+    data = tomllib.loads(loaded.text)
+    texts = {key: (text, f"{loaded.source}: search.{key}") for key, text in loaded.scenario.search.items()}
+    for given in asked.choose:
+        key, equals, text = given.partition("=")
+        key, text = key.strip(), text.strip().strip("\"'")
+        if not equals or not key:
+            raise BadInput("--choose", given, 'key=range, such as programme.phases.0.drive="2 V .. 10 V"')
+        texts.pop(key, None)
+        if text != "fixed":
+            texts[key] = (text, f"--choose {key}")
+    choices = tuple(spread(key, text, data, where) for key, (text, where) in texts.items())
+    if not choices:
+        allowed = "a table [search] in the scenario, or --choose KEY=RANGE: what may be chosen"
+        raise BadInput(f"{loaded.source}: search", "nothing", allowed, "gelbot show turn-over")
+    scattered = spreads(loaded, asked.vary)
+    robots = tuple({} if k == 0 else draw(scattered, asked.seed, k) for k in range(asked.robots))
+    return Search(loaded, choices, robots, asked.seed, asked.population)
+
+
+def _asked_in(folder: Path) -> tuple[Loaded, Asked]:
+    try:
+        told = json.loads((folder / ASKED).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise BadInput("--resume", str(folder), "the folder of a search (asked.json)") from error
+    if told["gelbot"] != __version__:
+        allowed = f"a search of gelbot {__version__}: with another one its runs would not be alike"
+        raise BadInput("--resume", f"{folder}, begun with gelbot {told['gelbot']}", allowed)
+    loaded = load(str(folder / SCENARIO))
+    asked = Asked(**{key: told[key] for key in Asked._fields})
+    return Loaded(loaded.scenario, loaded.text, told["source"]), asked._replace(
+        choose=tuple(asked.choose), vary=tuple(asked.vary)
+    )
+
+
+def _searched(search: Search, asked: Asked, folder: Path, pool: Any, console: Console) -> list[list[Candidate]]:
+    """All generations, with a bar that says how good the best is so far."""
+    bar = Progress(
+        TextColumn("generation {task.fields[number]} of {task.fields[of]}"),
+        BarColumn(bar_width=28),
+        TextColumn("{task.completed:.0f} runs"),
+        TextColumn("[bold]{task.fields[best]}"),
+        TimeRemainingColumn(),
+        console=console,
+        disable=not console.is_terminal or console.quiet,
+    )
+    from gelbot.planner.search import optimiser
+
+    runs = optimiser(search).population_size * len(search.robots) * asked.generations
+    history: list[list[Candidate]] = []
+    with bar:
+        task = bar.add_task("", total=runs, number=1, of=asked.generations, best="")
+        made = generations(
+            search, folder / GENERATIONS, asked.generations, pool, lambda runs: bar.update(task, advance=runs)
+        )
+        for one in made:
+            history.append(one)
+            best = min((each for gone in history for each in gone), key=lambda each: each.worth)
+            met = sum(each.met for each in best.scores)
+            said = f"met {met} of {len(best.scores)}, cost {best.worth:.1f}"
+            bar.update(task, number=min(len(history) + 1, asked.generations), best=said)
+            if not console.is_terminal:
+                console.print(f"generation {len(history)}: {said}", highlight=False)
+    return history
+
+
+def _checked(search: Search, asked: Asked, best: Candidate, pool: Any) -> list[Score]:
+    """The best candidate on robots that the search has not seen."""
+    scattered = spreads(search.loaded, asked.vary)
+    robots = [draw(scattered, asked.seed + CHECK_SEED, k) for k in range(asked.check)]
+    futures = [pool.submit(score, search.loaded, best.changes, k, robot) for k, robot in enumerate(robots)]
+    return [future.result() for future in futures]
+
+
+def _found(
+    search: Search, asked: Asked, folder: Path, best: Candidate, checked: list[Score], count: int
+) -> dict[str, Any]:
+    met = sum(one.met for one in checked)
+    enough = bool(checked) and met >= OFTEN * len(checked)
+    rate = clopper_pearson(met, len(checked)) if checked else None
+    times = mean_of(_array([one.time for one in checked if one.time is not None]))
+    found = {
+        "met": enough,
+        "asked": _goals(search.loaded),
+        "generations": count,
+        "robots": len(search.robots),
+        "checked_on": len(checked),
+        "checked_met": met,
+        "rate": None if rate is None else rate._asdict(),
+        "time_s": None if times is None else times._asdict(),
+        "peak_voltage_V": max((one.peak for one in checked if one.met), default=None),
+        "charge_C": _mean([one.charge for one in checked if one.met]),
+        "best": {
+            "values": best.changes,
+            "cost": best.worth,
+            "met_in_search": sum(one.met for one in best.scores),
+            "shortfall": max(one.shortfall for one in best.scores),
+            "reasons": sorted({one.reason for one in best.scores if not one.met}),
+        },
+        "limited_by": limited_by(search, best),
+    }
+    text = with_changes(search.loaded.text, [(key.split("."), value) for key, value in best.changes.items()])
+    programme = tomllib.loads(text)["programme"]
+    heads = [
+        f"Found by gelbot plan {search.loaded.source}, seed {asked.seed}, in {count} generations; asked for:",
+        *(f"  {goal}" for goal in found["asked"]),
+        f"Met on {met} of {len(checked)} robots that the search had not seen."
+        if enough
+        else "NOT met: this is only the best that was found. Limited by: " + "; ".join(found["limited_by"]),
+        "Play it: gelbot run NAME --programme FILE",
+    ]
+    comment = "".join(f"# {line}\n" for line in heads)
+    write_text(folder / (PROGRAMME if enough else ATTEMPT), comment + "\n" + tomlkit.dumps({"programme": programme}))
+    return found
+
+
+def _ended(folder: Path, found: dict[str, Any], console: Console) -> dict[str, Any]:
+    write_text(folder / PLAN, json.dumps(found, indent=2) + "\n")
+    lines = ["asked: " + "; ".join(found["asked"])]
+    if found["met"]:
+        rate = found["rate"]
+        lines.append(
+            f"met on {found['checked_met']} of {found['checked_on']} robots that the search had not seen "
+            f"(95 % interval {rate['low']:.3f} to {rate['high']:.3f}), in {found['time_s']['value']:.1f} s on average"
+        )
+        lines.append(f"the programme: {folder / PROGRAMME}")
+    else:
+        lines.append("NOT MET: no programme was found that does this")
+        if found["best"] is not None:
+            lines.append(f"the best attempt, short by {found['best']['shortfall']:.3g}: {folder / ATTEMPT}")
+        lines += [f"limited by: {reason}" for reason in found["limited_by"]]
+    for line in lines:
+        console.print(Text(line))
+    return found
+
+
+def _goals(loaded: Loaded) -> list[str]:
+    assert loaded.scenario.motion is not None  # checked by `_search`
+    return [worded(goal) for goal in loaded.scenario.motion.goals]
+
+
+def _told(one: Candidate) -> tuple[float, float]:
+    """Cost and share of the robots on which the motion was met, for the picture."""
+    return one.worth, sum(each.met for each in one.scores) / len(one.scores)
+
+
+def _array(values: list[float]) -> Any:
+    import numpy as np
+
+    return np.array(values, float)
+
+
+def _mean(values: list[float]) -> float | None:
+    return sum(values) / len(values) if values else None
