@@ -292,7 +292,7 @@ def plan(
                 raise BadInput(
                     "scenario", "nothing", "a scenario, or --resume with the folder of a search", "turn-over"
                 )
-            from gelbot.controllers import planned, with_programme
+            from gelbot.controllers.choice import planned, with_programme
             from gelbot.scenario import load
 
             loaded = load(scenario, changes or [])

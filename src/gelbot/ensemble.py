@@ -37,6 +37,7 @@ from gelbot.scenario.build import Experiment, build, disturbed
 from gelbot.scenario.load import Loaded, checked
 from gelbot.scenario.overrides import put
 from gelbot.scenario.schema import Scenario
+from gelbot.simulate import Frame
 
 LEFT_OUT = ("position", "adsorption", "rest_position")
 """What is not kept of an ensemble's frames: nearly all of their size."""
@@ -162,18 +163,38 @@ def experiment_of(loaded: Loaded, robot: Changes) -> Experiment:
 
 def outcome(loaded: Loaded, index: int, robot: Changes) -> Outcome:
     """The whole programme for one robot, which is number `index`."""
-    try:
-        experiment = experiment_of(loaded, robot)
-    except BadInput as error:
-        raise error.inside(f"robot {index}") from error
+    experiment = numbered_experiment(loaded, index, robot)
     times = {"wall_s": 0.0, "compile_s": 0.0}
     model = disturbed(experiment, experiment.model, experiment.state.positions)
     chunks = []
-    for frames in march(experiment, model, experiment.state, _ready(loaded).programs, times):
+    for frames in march(experiment, model, experiment.state, programs_of(loaded), times):
         chunks.append(jax.tree.map(np.asarray, frames))
         if not np.isfinite(chunks[-1].positions[-1]).all():
             break
     frames = jax.tree.map(lambda *parts: np.concatenate(parts), *chunks)
+    return judged(experiment, index, frames, times)
+
+
+def numbered_experiment(loaded: Loaded, index: int, robot: Changes) -> Experiment:
+    """The experiment of one robot; what is wrong with it is said with its number."""
+    try:
+        return experiment_of(loaded, robot)
+    except BadInput as error:
+        raise error.inside(f"robot {index}") from error
+
+
+def programs_of(loaded: Loaded) -> Programs:
+    """The compiled programs that the robots of a scenario share in this process."""
+    return _ready(loaded).programs
+
+
+def nominal_experiment(loaded: Loaded) -> Experiment:
+    """The unchanged robot's experiment."""
+    return _ready(loaded).experiment
+
+
+def judged(experiment: Experiment, index: int, frames: Frame, times: Mapping[str, float]) -> Outcome:
+    """What became of robot number `index`, by its `frames`; `times` [s] that computing and compiling took."""
     converged = good_frames(frames, experiment.scenario.simulation.tolerance) == len(frames.time)
     part = frames_part(experiment, frames)
     summary = summarise(part, times["wall_s"], times["compile_s"])

@@ -33,15 +33,35 @@ class Reached(NamedTuple):
     best: float
 
 
-def quantity_of(goal: Goal, run: xr.Dataset, scenario: Scenario) -> Floats:
-    """The goal's quantity at all frames, shape (k,)."""
+class Seen(NamedTuple):
+    """What goals are judged by, at k frames: `centre` [m] (k, 3), `normal` (k, 3), `tips` [m] (k, 3, a) and
+    `tip_angles` [rad] (k, a), as `points.Observation` has them; `wrap` [rad] (k,), where it was computed."""
+
+    centre: Floats
+    normal: Floats
+    tips: Floats
+    tip_angles: Floats
+    wrap: Floats | None = None
+
+
+def seen_in(run: xr.Dataset, scenario: Scenario) -> Seen:
+    """The frames of a run's data set; positions of nodes are needed only where a goal is about wrap."""
+    assert scenario.motion is not None
+    wraps = any(goal.quantity == "wrap" for goal in scenario.motion.goals)
+    names = ("centre", "normal", "tip_position", "tip_angle")
+    centre, normal, tips, angles = (_values(run, name) for name in names)
+    return Seen(centre, normal, tips, angles, wrapped(run, scenario) if wraps else None)
+
+
+def quantity_of(goal: Goal, seen: Seen, scenario: Scenario, start: Floats) -> Floats:
+    """The goal's quantity at all frames, shape (k,); `start` [m], (2, 1 + a), is where centre and tips began."""
     if goal.quantity == "normal":
-        return _values(run, "normal")[:, 2]
+        return np.asarray(seen.normal)[:, 2]
     if goal.quantity == "tip_angle":
-        return _values(run, "tip_angle").max(axis=1)
+        return np.asarray(seen.tip_angles).max(axis=1)
     if goal.quantity == "wrap":
-        return wrapped(run, scenario)
-    points = np.concatenate([_values(run, "centre")[..., None], _values(run, "tip_position")], axis=2)
+        return np.full(len(seen.centre), np.nan) if seen.wrap is None else seen.wrap
+    points = np.concatenate([np.asarray(seen.centre)[..., None], np.asarray(seen.tips)], axis=2)
     if goal.point >= points.shape[2]:
         return np.full(len(points), np.nan)
     place = points[:, :, goal.point]
@@ -50,16 +70,20 @@ def quantity_of(goal: Goal, run: xr.Dataset, scenario: Scenario) -> Floats:
     assert scenario.motion is not None
     assert scenario.motion.direction is not None  # checked by the table
     angle = scenario.motion.direction + (np.pi / 2.0 if goal.quantity == "across" else 0.0)
-    start = _start(run, goal.point)
-    return (place[:, :2] - start) @ np.array([np.cos(angle), np.sin(angle)])
+    return (place[:, :2] - start[:, goal.point]) @ np.array([np.cos(angle), np.sin(angle)])
 
 
-def _start(run: xr.Dataset, point: int) -> Floats:
-    """Where an essential point was at the start [m], in x and y: as the static part knows it, or the first frame."""
+def misses(scenario: Scenario, seen: Seen, start: Floats) -> list[Floats]:
+    """How far each goal is missed at all frames, shape (k,) each, in units of `SCALES`."""
+    assert scenario.motion is not None
+    return [_miss(goal, quantity_of(goal, seen, scenario, start)) for goal in scenario.motion.goals]
+
+
+def _start(run: xr.Dataset) -> Floats:
+    """Where centre and tips were at the start [m], (2, 1 + a): as the static part knows it, or the first frame."""
     if "start_point" in run:
-        return run["start_point"].transpose("space", "point").values[:2, point]
-    first = _values(run, "centre")[0] if point == 0 else _values(run, "tip_position")[0, :, point - 1]
-    return first[:2]
+        return run["start_point"].transpose("space", "point").values[:2]
+    return np.concatenate([_values(run, "centre")[0, :2, None], _values(run, "tip_position")[0, :2]], axis=1)
 
 
 def reach(run: xr.Dataset, scenario: Scenario) -> Reached:
@@ -75,10 +99,12 @@ def reach(run: xr.Dataset, scenario: Scenario) -> Reached:
     if count == 0:
         return Reached(False, (), float("inf"), "the run has no frames", float("nan"))
     step = float(time[0]) if count == 1 else float(time[1] - time[0])
+    seen, start = seen_in(run, scenario), _start(run)
+    values = [quantity_of(goal, seen, scenario, start) for goal in goals]
     # best[k]: least sum of the goals so far, the last of which has lasted by frame k; chosen: when it began.
-    best, chosen, misses = np.zeros(count + 1), [], []
-    for goal in goals:
-        miss = _miss(goal, quantity_of(goal, run, scenario))
+    best, chosen, missed = np.zeros(count + 1), [], []
+    for goal, value in zip(goals, values, strict=True):
+        miss = _miss(goal, value)
         frames = max(1, round((goal.lasting or 0.0) / step))
         if goal.to_the_end:
             worst = np.maximum.accumulate(miss[::-1])[::-1]
@@ -98,15 +124,19 @@ def reach(run: xr.Dataset, scenario: Scenario) -> Reached:
                 later[k], began[k] = later[k - 1], began[k - 1]
         best = later
         chosen.append(began)
-        misses.append(worst)
-    return _told(scenario, run, time, best, chosen, misses)
+        missed.append(worst)
+    return _told(goals, values, time, best, chosen, missed)
 
 
 def _told(
-    scenario: Scenario, run: xr.Dataset, time: Floats, best: Floats, chosen: list[Any], misses: list[Floats]
+    goals: tuple[Goal, ...],
+    values: list[Floats],
+    time: Floats,
+    best: Floats,
+    chosen: list[Any],
+    missed: list[Floats],
 ) -> Reached:
-    assert scenario.motion is not None
-    goals, at, begins = scenario.motion.goals, len(time), []
+    at, begins = len(time), []
     for began in reversed(chosen):
         begins.append(int(began[at]))
         at = max(begins[-1], 0)
@@ -116,14 +146,13 @@ def _told(
         reason = f"goal {first + 1} ({worded(goals[first])}) needs a longer run"
         return Reached(False, (), float("inf"), reason, float("nan"))
     shortfall = float(best[-1])
-    for index, (goal, begin, miss) in enumerate(zip(goals, begins, misses, strict=True)):
+    for index, (goal, begin, miss) in enumerate(zip(goals, begins, missed, strict=True)):
         if miss[begin] > 0.0:
-            values = quantity_of(goal, run, scenario)
-            nearest = float(values[int(np.argmin(_miss(goal, values)))])
+            nearest = float(values[index][int(np.argmin(_miss(goal, values[index])))])
             unit = UNITS[goal.quantity]
             said = shown(nearest, unit) if unit else f"{nearest:.3g}"
             kept = ""
-            if _miss(goal, values).min() <= 0.0:
+            if _miss(goal, values[index]).min() <= 0.0:
                 kept = " (reached, but not kept)"
             reason = f"goal {index + 1} ({worded(goal)}) not met: nearest {said}{kept}"
             return Reached(False, tuple(float(time[b]) for b in begins[:index]), shortfall, reason, nearest)

@@ -68,6 +68,6 @@ def plain(scores: Sequence[Score]) -> list[list[Any]]:
 
 def from_plain(rows: list[list[Any]]) -> list[Score]:
     """Scores out of JSON."""
-    missing = dict(zip(Score._fields, (0.0, False, None, 0.0, 0.0, np.inf, np.nan, ""), strict=True))
+    missing: dict[str, Any] = dict(zip(Score._fields, (0.0, False, None, 0.0, 0.0, np.inf, np.nan, ""), strict=True))
     named: list[dict[str, Any]] = [dict(zip(Score._fields, row, strict=True)) for row in rows]
     return [Score(**{key: missing[key] if value is None else value for key, value in row.items()}) for row in named]

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gelbot.controllers import outcome_with
+from gelbot.controllers.choice import outcome_with
 from gelbot.ensemble import Outcome, as_ready
 from gelbot.errors import BadInput
 from gelbot.record.whole_file import write_text

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from gelbot import __version__
-from gelbot.controllers import with_controller
+from gelbot.controllers.choice import with_controller
 from gelbot.ensemble import workers
 from gelbot.errors import BadInput, GelbotError
 from gelbot.record.whole_file import write_text

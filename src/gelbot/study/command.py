@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from gelbot.controllers import CONTROLLERS
+from gelbot.controllers.choice import CONTROLLERS
 from gelbot.errors import BadInput
 from gelbot.record.whole_file import write_text
 from gelbot.scenario.load import Loaded

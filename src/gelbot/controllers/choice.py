@@ -3,23 +3,27 @@
 template     open loop: the voltages and switch times that the scenario's own programme had on its nominal robot
 servo        the scenario's own programme: Section IV-E, the servo with its events
 planned      a programme that was planned for the scenario (`gelbot plan`), from a file or as it comes with gelbot
+predictive   the planned programme, whose phases begin when a twin of the robot says that they should
 """
 
 from __future__ import annotations
 
+import time as clock
 import tomllib
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
-from gelbot.ensemble import Changes, Outcome, outcome
+from gelbot.controllers.predictive import march_predictive
+from gelbot.ensemble import Changes, Outcome, judged, nominal_experiment, numbered_experiment, outcome, programs_of
 from gelbot.errors import BadInput
 from gelbot.scenario.load import Loaded, checked
 from gelbot.scenario.overrides import with_changes
 
-CONTROLLERS = ("template", "servo", "planned")
+CONTROLLERS = ("template", "servo", "planned", "predictive")
 SAMPLES = 0.5
 """Voltages of a nominal run are kept this often [s], straight lines between."""
 
@@ -33,7 +37,7 @@ def with_controller(loaded: Loaded, controller: str, programme: Path | None = No
         raise BadInput("--controller", controller, "one of " + ", ".join(CONTROLLERS))
     if controller == "template":
         return with_programme(loaded, _open_loop(loaded))
-    if controller == "planned":
+    if controller in ("planned", "predictive"):
         return with_programme(loaded, planned(loaded, programme))
     return loaded
 
@@ -106,5 +110,20 @@ def _open_loop(loaded: Loaded) -> dict[str, Any]:
 
 def outcome_with(controller: str, loaded: Loaded, index: int, robot: Changes) -> Outcome:
     """The run of one robot under `controller`, for which `loaded` has been prepared by `with_controller`."""
-    assert controller in CONTROLLERS
+    if controller == "predictive":
+        return _predicted(loaded, index, robot)
     return outcome(loaded, index, robot)
+
+
+def _predicted(loaded: Loaded, index: int, robot: Changes) -> Outcome:
+    experiment, frames = numbered_experiment(loaded, index, robot), []
+    began, late = clock.perf_counter(), 0
+    for frame, controller in march_predictive(experiment, nominal_experiment(loaded), programs_of(loaded)):
+        frames.append(jax.tree.map(np.asarray, frame))
+        late = controller.late
+        if not np.isfinite(frames[-1].positions).all():
+            break
+    stacked = jax.tree.map(lambda *parts: np.stack(parts), *frames)
+    times = {"wall_s": clock.perf_counter() - began, "compile_s": 0.0}
+    one = judged(experiment, index, stacked, times)
+    return one._replace(summary={**one.summary, "late_ticks": late})

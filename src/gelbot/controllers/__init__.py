@@ -1,0 +1,1 @@
+"""Who drives a robot: controllers that can be compared on the same robots."""

@@ -1,0 +1,272 @@
+"""The predictive controller: a twin of the robot runs ahead, and says which phase of the programme should be next.
+
+Each tick the twin, a simulation of the scenario's nominal robot, is brought on by what was applied and put right by
+what is seen. From its state, every phase of the programme is tried over a horizon: what would become of the motion's
+goals if it began now? The best one does begin. The trials are cut into pieces, so many each tick, so that a tick keeps
+within its period; the voltages of a phase, its servo and its events stay those of the programme. When the trials take
+too long, the programme simply goes on: that is the servo.
+
+It sees what a camera sees: centre, normal, tips. It knows the scenario, not the robot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import NDArray
+
+from gelbot.body.symmetry import rotation
+from gelbot.control.programme import Command, Playing, advance, begin, play
+from gelbot.motion.reach import Seen, misses
+from gelbot.points import Observation, observe
+from gelbot.run import Programs
+from gelbot.scenario.build import Experiment, disturbed
+from gelbot.simulate import Frame, Model, State, rollout, start
+
+HORIZON = 9.0
+"""How far ahead a phase is tried [s]: about as long as a body takes to topple."""
+PIECE = 1.0
+"""A trial is computed so much of the horizon [s] at a time."""
+PIECES = 2
+"""So many pieces each tick, at most."""
+SETTLED = 2.0
+"""What counts of the last goal is its mean over the end of the horizon [s]."""
+BETTER = 0.15
+"""Another phase begins only when it comes nearer to the goals by so much, in units of `motion.reach.SCALES`."""
+HASTE = 0.02
+"""What a second that a goal takes counts against an unit of its shortfall."""
+CORRECTION, LEARNING = 0.08, 0.02
+"""Shares of the relative difference in the centre's rise by which, each tick, the twin's adsorption and its p_ele
+are put right."""
+STARTS_AT = 1e-3
+"""Below this rise [m] the centre says too little about p_ele."""
+UPRIGHT = 0.8
+"""While its normal's z is above this, the twin is kept where the robot is seen."""
+
+
+def hold(voltages: Array, time: Array, observation: Observation) -> tuple[Array, Array, None]:
+    """A controller that holds the `voltages` that it remembers."""
+    return voltages, voltages, None
+
+
+class Twin(NamedTuple):
+    """A robot that runs beside the real one: its `model`, `state`, the factor `strength` on p_ele, and the centre's
+    height at the start, `low` [m]."""
+
+    model: Model
+    state: State
+    strength: Array
+    low: Array
+
+
+class Trial(NamedTuple):
+    """A phase on trial: where it stands, and what has been seen on the way."""
+
+    phase: int
+    state: State
+    memory: Playing
+    seen: list[Observation]
+
+
+Clock = Callable[[], float]
+
+
+class Predictive:
+    """The controller of one robot; `tick` is called once each control period.
+
+    `work`: pieces of trials each tick. With a `clock` [s], none is begun later than `deadline` [s] after the tick
+    began; `late` counts the ticks that began none for that reason.
+    """
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        programs: Programs,
+        seen: Observation,
+        work: int = PIECES,
+        clock: Clock | None = None,
+        deadline: float = 0.08,
+    ) -> None:
+        self.experiment, self.programs, self.work = experiment, programs, work
+        self.clock, self.deadline, self.late = clock, deadline, 0
+        self.programme = experiment.programme
+        self.progress = begin(self.programme, seen)
+        self.period = experiment.scenario.programme.control_period
+        self.twin = twin_at(experiment, seen)
+        self.voltages = jnp.zeros_like(self.programme.phases.patterns[0])
+        self.trials: list[Trial] = []
+        self.values: dict[int, float] = {}
+        self.settled = False
+        self._start = np.concatenate([seen.centre[:2, None], seen.tips[:2]], axis=1)
+
+    def tick(self, time: Array, seen: Observation) -> tuple[Array, Command]:
+        """The voltages [V], shape (e,), to hold for the next period."""
+        began = None if self.clock is None else self.clock()
+        if float(time) > 0.5 * self.period:
+            self.twin = corrected(self._brought_on(self.twin), seen)
+        chosen = self._plan(began, seen)
+        if chosen is not None and chosen != int(self.progress.phase):
+            self.progress = self.progress._replace(phase=jnp.asarray(chosen), began=time)
+            self.trials = []
+        phase = int(self.progress.phase)
+        self.progress, self.voltages, command = _tick(self.programme, self.progress, time, seen)
+        if int(self.progress.phase) != phase:
+            self.trials = []  # they began in another phase
+        return self.voltages, command
+
+    def _brought_on(self, twin: Twin) -> Twin:
+        """The twin after a period under the voltages that were applied."""
+        model = stronger(twin)
+        state, _, _ = self._rolled("hold", hold, model, twin.state, self.voltages, 1)
+        return twin._replace(state=state)
+
+    def _rolled(self, kind: str, controller: Any, model: Model, state: State, memory: Any, periods: int) -> Any:
+        dt = jnp.asarray(self.period, state.positions.dtype)
+        key = ("predictive", kind, periods)
+        if key not in self.programs:
+            lowered = rollout.lower(model, state, controller, memory, dt, periods, 1)
+            self.programs[key] = lowered.compile()
+        return self.programs[key](model, state, memory, dt)
+
+    def _plan(self, began: float | None, seen: Observation) -> int | None:
+        """Go on with the trials; the phase to begin, or None while there is nothing to choose."""
+        if self.settled:
+            # As long as the goal is kept there is nothing better to choose.
+            now = Seen(*(np.asarray(part)[None] for part in seen))
+            self.settled = bool(misses(self.experiment.scenario, now, self._start)[-1][0] <= 0.0)
+            return None
+        if not self.trials:
+            self._begin_trials()
+        done = 0
+        for k, trial in enumerate(self.trials):
+            while len(trial.seen) * PIECE < HORIZON - 1e-9:
+                if done >= self.work:
+                    return None
+                if began is not None and self.clock is not None and self.clock() - began > self.deadline:
+                    self.late += done == 0
+                    return None
+                trial = self._tried(trial)
+                self.trials[k] = trial
+                done += 1
+        values = {trial.phase: self._value(trial) for trial in self.trials}
+        here = int(self.progress.phase)
+        best = min(values, key=lambda phase: values[phase])
+        self.values, self.trials = values, []
+        return best if values[best] < values[here] - BETTER else None
+
+    def _begin_trials(self) -> None:
+        """Every phase from the twin's state; first the one that goes on."""
+        here, now = int(self.progress.phase), self.twin.state.time
+        self.trials = []
+        for phase in [here, *(p for p in range(self.programme.phases.patterns.shape[0]) if p != here)]:
+            progress = self.progress
+            if phase != here:
+                progress = progress._replace(phase=jnp.asarray(phase), began=now)
+            self.trials.append(Trial(phase, self.twin.state, Playing(self.programme, progress), []))
+
+    def _tried(self, trial: Trial) -> Trial:
+        """A piece more of a trial."""
+        count = round(PIECE / self.period)
+        model = stronger(self.twin)
+        state, memory, frames = self._rolled("play", play, model, trial.state, trial.memory, count)
+        return Trial(trial.phase, state, memory, [*trial.seen, frames.observation])
+
+    def _value(self, trial: Trial) -> float:
+        """What is missing of the goals after a trial, less is better: each at its best, the last one as it stays."""
+        seen = jax.tree.map(lambda *parts: np.concatenate(parts), *trial.seen)
+        if not np.isfinite(np.asarray(seen.centre)).all():
+            return np.inf
+        missing = misses(self.experiment.scenario, Seen(*seen), self._start)
+        last = missing[-1][-round(SETTLED / self.period) :]
+        if trial.phase == int(self.progress.phase):
+            self.settled = bool(missing[-1].max() <= 0.0)
+        reached = np.flatnonzero(missing[-1] <= 0.0)
+        time = (reached[0] + 1) * self.period if reached.size else HORIZON
+        return float(sum(miss.min() for miss in missing[:-1]) + last.mean() + HASTE * time)
+
+
+_tick = jax.jit(advance)
+
+
+def stronger(twin: Twin) -> Model:
+    """The twin's model with its p_ele as learned."""
+    gel = twin.model.gel
+    return twin.model._replace(gel=gel._replace(p_ele=gel.p_ele * twin.strength))
+
+
+def twin_at(experiment: Experiment, seen: Observation) -> Twin:
+    """The nominal robot where the real one is seen: moved and turned so that centre and tips come near."""
+    x = np.asarray(experiment.state.positions)
+    nominal = observe(experiment.model.points, experiment.state.positions)
+    moved, way = _onto(nominal, seen)
+    centre = np.asarray(nominal.centre)[:2, None]
+    flat = rotation(way) @ (x[:2] - centre) + centre + moved[:, None]
+    positions = jnp.asarray(np.vstack([flat, x[2:]]), x.dtype)
+    model = disturbed(experiment, experiment.model, positions)
+    state = start(model, positions)
+    return Twin(model, state, jnp.ones((), x.dtype), observe(model.points, positions).centre[2])
+
+
+def _onto(own: Observation, seen: Observation) -> tuple[NDArray[np.float64], float]:
+    """Shift [m] (2,) and turn [rad] in the plane that take centre and tips of `own` onto those `seen` (Procrustes)."""
+    a, b = (np.asarray(one.tips)[:2] - np.asarray(one.centre)[:2, None] for one in (own, seen))
+    way = float(np.arctan2(np.sum(a[0] * b[1] - a[1] * b[0]), np.sum(a * b)))
+    return np.asarray(seen.centre)[:2] - np.asarray(own.centre)[:2], way
+
+
+def corrected(twin: Twin, seen: Observation) -> Twin:
+    """The twin put right by what is seen: where it lies, and how strongly it has adsorbed.
+
+    A centre that has risen more than the twin's has adsorbed more, by about the same share, and goes on doing so.
+    Beyond `UPRIGHT` nothing is put right: a toppling body moves faster than what is seen of it can tell.
+    """
+    state = twin.state
+    own = observe(twin.model.points, state.positions)
+    if float(own.normal[2]) < UPRIGHT or float(seen.normal[2]) < UPRIGHT:
+        return twin
+    moved, way = _onto(own, seen)
+    x = np.asarray(state.positions)
+    centre = np.asarray(own.centre)[:2, None]
+    flat = rotation(way) @ (x[:2] - centre) + centre + moved[:, None]
+    rise, own_rise = float(seen.centre[2] - twin.low), float(own.centre[2] - twin.low)
+    ads, strength = state.ads, twin.strength
+    if rise > STARTS_AT and own_rise > STARTS_AT:
+        error = float(np.clip(rise / own_rise - 1.0, -0.5, 0.5))
+        ads = jnp.clip(ads * (1.0 + CORRECTION * error), 0.0, 1.0)
+        strength = jnp.clip(strength * (1.0 + LEARNING * error), 0.5, 2.0)
+    state = state._replace(positions=jnp.asarray(np.vstack([flat, x[2:]]), x.dtype), ads=ads)
+    return twin._replace(state=state, strength=strength.astype(x.dtype))
+
+
+def march_predictive(
+    experiment: Experiment,
+    nominal: Experiment,
+    programs: Programs,
+    work: int = PIECES,
+    clock: Clock | None = None,
+) -> Iterator[tuple[Frame, Predictive]]:
+    """The robot of `experiment` under the controller, whose twin is the `nominal` one: a frame each period."""
+    scenario = experiment.scenario
+    period = scenario.programme.control_period
+    count = round(scenario.simulation.duration / period)
+    steps = round(period / scenario.simulation.time_step)
+    dtype = experiment.state.positions.dtype
+    dt = jnp.asarray(scenario.simulation.time_step, dtype)
+    state = experiment.state
+    model = disturbed(experiment, experiment.model, state.positions)
+    seen = observe(model.points, state.positions)
+    controller = Predictive(nominal, programs, seen, work, clock)
+    key = ("predictive", "plant", steps)
+    for _ in range(count):
+        voltages, command = controller.tick(state.time, seen)
+        if key not in programs:
+            programs[key] = rollout.lower(model, state, hold, voltages, dt, 1, steps).compile()
+        state, _, frames = programs[key](model, state, voltages, dt)
+        frame = jax.tree.map(lambda values: values[0], frames)
+        seen = frame.observation
+        yield frame._replace(command=command), controller
