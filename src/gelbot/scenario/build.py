@@ -112,7 +112,11 @@ def build(scenario: Scenario, base: Experiment | None = None) -> Experiment:
     model = Model(build_gel(scenario, body), mechanics, lead, points)
     model, positions = cast(model), cast(positions)
     state = start(model, positions)
-    programme = cast(build_programme(scenario, array, len(body.tips)))
+    same = kept.table is not None and kept.table.scenario.supply == scenario.supply
+    if kept.table is not None and same and kept.table.scenario.programme == scenario.programme:
+        programme = kept.table.programme
+    else:
+        programme = cast(build_programme(scenario, field, connected, len(body.tips)))
     return Experiment(scenario, body, array, field, connected, error, model, state, programme)
 
 

@@ -10,17 +10,22 @@ from numpy.typing import NDArray
 
 from gelbot.control.programme import ANGLE, HEIGHTS, NORMAL, Phases, Programme
 from gelbot.errors import BadInput
-from gelbot.field.electrodes import ElectrodeArray
+from gelbot.field.charge import FieldSolution
+from gelbot.plan.carry import carried
 from gelbot.plan.templates import superposition
 from gelbot.plan.trajectory import no_faster, rise
 from gelbot.scenario.programmes import Reference, Until
 from gelbot.scenario.schema import Scenario
 
 UP = (0.0, 0.0, 1.0)
+STANDS = 0.8
+"""A body that stands on its tips is about this share of its reach high: so far up the field of a pattern counts."""
 
 
-def build_programme(scenario: Scenario, array: ElectrodeArray, tips: int) -> Programme:
+def build_programme(scenario: Scenario, field: FieldSolution, connection: NDArray[np.float64], tips: int) -> Programme:
     """The phases as arrays, for a body of so many `tips`; conditions that a phase does not name are out of reach.
+
+    `field` and `connection` are those of the electrodes, see `Experiment`.
 
     Raises `BadInput` for a tip that the body does not have.
     """
@@ -31,7 +36,7 @@ def build_programme(scenario: Scenario, array: ElectrodeArray, tips: int) -> Pro
     followed = np.zeros((3, 1 + tips))
     followed[:, _point(point, tips, "programme.reference.point")] = axis
     return Programme(
-        phases=build_phases(scenario, array, tips),
+        phases=build_phases(scenario, build_patterns(scenario, field, connection), tips),
         followed=jnp.asarray(followed),
         from_start=jnp.asarray(axis[2] == 0.0),
         reference_times=jnp.asarray(times),
@@ -67,16 +72,31 @@ def _point(number: int, tips: int, where: str) -> int:
     return number
 
 
-def build_phases(scenario: Scenario, array: ElectrodeArray, tips: int) -> Phases:
-    """The phases of the programme as arrays, see `build_programme`."""
-    phases, place = scenario.programme.phases, np.array(scenario.place)
-    names = [phase.name for phase in phases]
-    patterns = [
-        superposition(phase.weights, array, place) if phase.shares is None else np.array(phase.shares)
-        for phase in phases
-    ]
+def build_patterns(
+    scenario: Scenario, field: FieldSolution, connection: NDArray[np.float64]
+) -> list[NDArray[np.float64]]:
+    """The pattern of each phase, (e,), turned as the programme is."""
+    place, turn = np.array(scenario.place), scenario.programme.turn
+    reach = scenario.body.outline().reach
     # What is not connected to the supply has no voltage of its own.
     driven = np.array(scenario.electrodes.states) == "driven"
+    made: dict[str, NDArray[np.float64]] = {}
+    for phase in scenario.programme.phases:
+        if str(phase.pattern) in made:
+            continue
+        shares = phase.shares
+        pattern = superposition(phase.weights, field.problem.array, place) if shares is None else np.array(shares)
+        pattern = pattern * driven
+        if turn:
+            pattern = carried(field, connection, pattern, place, turn, reach, STANDS * reach).pattern
+        made[str(phase.pattern)] = pattern
+    return [made[str(phase.pattern)] for phase in scenario.programme.phases]
+
+
+def build_phases(scenario: Scenario, patterns: list[NDArray[np.float64]], tips: int) -> Phases:
+    """The phases of the programme as arrays, see `build_programme`."""
+    phases = scenario.programme.phases
+    names = [phase.name for phase in phases]
     # All profiles are as long as the longest: the last point once more.
     longest = max(len(phase.profile) for phase in phases)
     profiles = np.array([[*p.profile, *([p.profile[-1]] * (longest - len(p.profile)))] for p in phases])
@@ -106,7 +126,7 @@ def build_phases(scenario: Scenario, array: ElectrodeArray, tips: int) -> Phases
         return jnp.asarray([after if n is None else names.index(n) for n, after in zip(named, following, strict=True)])
 
     return Phases(
-        patterns=jnp.asarray(np.array(patterns) * driven),
+        patterns=jnp.asarray(np.array(patterns)),
         profile_times=jnp.asarray(profiles[..., 0]),
         profile_volts=jnp.asarray(profiles[..., 1]),
         uses_servo=jnp.asarray([phase.drive == "servo" for phase in phases]),

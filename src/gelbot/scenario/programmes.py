@@ -263,10 +263,13 @@ class Programme(Table):
     """What is done: `phases` one after the other, a tick every `control_period` [s].
 
     `place` [m]: where it is meant to be done, which picks the robot's electrode; None: where the body lies.
+    `turn` [rad] turns all patterns about it: their voltages become those whose field comes nearest to the turned one
+    (`plan.carry`).
     """
 
     control_period: Time
     place: Annotated[tuple[float, float], Several(Dimension("m"), (2,))] | None = None
+    turn: Angle = 0.0
     reference: Reference | None = None
     servo: ServoGains | None = None
     phases: Annotated[tuple[Phase, ...], Field(min_length=1)]
