@@ -263,6 +263,9 @@ def plan(
         int, typer.Option(help="Robots on which each candidate is tried, the first without scatter.")
     ] = 6,
     generations: Annotated[int, typer.Option(help="Generations of candidates, at most.")] = 20,
+    rounds: Annotated[
+        int, typer.Option(help="Rounds: each learns from the robots on which the one before it failed.")
+    ] = 2,
     population: Annotated[
         int | None, typer.Option(help="Candidates of a generation. (default: from their size)")
     ] = None,
@@ -299,7 +302,7 @@ def plan(
             if programme is not None:
                 loaded = with_programme(loaded, planned(loaded, programme))
             folder = _folder(out, "plans", loaded.scenario.name)
-            asked = Asked(tuple(choose or ()), tuple(vary or ()), robots, generations, population, check, seed)
+            asked = Asked(tuple(choose or ()), tuple(vary or ()), robots, generations, rounds, population, check, seed)
         else:
             loaded = asked = None
             if scenario is not None or changes or vary or choose or programme or out:

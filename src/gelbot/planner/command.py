@@ -43,6 +43,7 @@ class Asked(NamedTuple):
     vary: tuple[str, ...]
     robots: int
     generations: int
+    rounds: int
     population: int | None
     check: int
     seed: int
@@ -69,11 +70,23 @@ def seek(folder: Path, loaded: Loaded | None, asked: Asked | None, progress: boo
         found = {"met": False, "asked": _goals(loaded), "best": None, "limited_by": [reason]}
         return _ended(folder, found, console)
     with workers(os.cpu_count() or 1) as pool:
-        history = _searched(search, asked, folder, pool, console)
-        best = min((one for made in history for one in made), key=lambda one: one.worth)
-        checked = _checked(search, asked, best, pool) if best.scores[0].met else []
+        history: list[list[Candidate]] = []
+        for number in range(asked.rounds):
+            made = _searched(search, asked, folder, number, pool, console)
+            history += made
+            best = min((one for each in made for one in each), key=lambda one: one.worth)
+            checked = _checked(search, asked, number, best, pool) if best.scores[0].met else {}
+            failed = [robot for robot, one in checked.values() if not one.met][: asked.robots]
+            if not failed or number == asked.rounds - 1:
+                break
+            # Those on which it fails are what the next round has to learn.
+            told = f"round {number + 1}: failed on {len(failed)} of {len(checked)} robots that it had not seen"
+            console.print(told, highlight=False)
+            search = search._replace(robots=search.robots + tuple(failed), start=best.shares)
     draw_search([[_told(one) for one in made] for made in history], folder / "search.png")
-    return _ended(folder, _found(search, asked, folder, best, checked, len(history)), console)
+    return _ended(
+        folder, _found(search, asked, folder, best, [one for _, one in checked.values()], len(history)), console
+    )
 
 
 def _search(loaded: Loaded, asked: Asked) -> Search:
@@ -83,6 +96,7 @@ def _search(loaded: Loaded, asked: Asked) -> Search:
     for option, value, least in (
         ("--robots", asked.robots, 1),
         ("--generations", asked.generations, 1),
+        ("--rounds", asked.rounds, 1),
         ("--check", asked.check, 1),
         ("--population", asked.population or 4, 4),
     ):
@@ -122,8 +136,10 @@ def _asked_in(folder: Path) -> tuple[Loaded, Asked]:
     )
 
 
-def _searched(search: Search, asked: Asked, folder: Path, pool: Any, console: Console) -> list[list[Candidate]]:
-    """All generations, with a bar that says how good the best is so far."""
+def _searched(
+    search: Search, asked: Asked, folder: Path, round_number: int, pool: Any, console: Console
+) -> list[list[Candidate]]:
+    """All generations of a round, with a bar that says how good the best is so far."""
     bar = Progress(
         TextColumn("generation {task.fields[number]} of {task.fields[of]}"),
         BarColumn(bar_width=28),
@@ -140,7 +156,11 @@ def _searched(search: Search, asked: Asked, folder: Path, pool: Any, console: Co
     with bar:
         task = bar.add_task("", total=runs, number=1, of=asked.generations, best="")
         made = generations(
-            search, folder / GENERATIONS, asked.generations, pool, lambda runs: bar.update(task, advance=runs)
+            search,
+            folder / GENERATIONS / str(round_number + 1),
+            asked.generations,
+            pool,
+            lambda runs: bar.update(task, advance=runs),
         )
         for one in made:
             history.append(one)
@@ -153,12 +173,15 @@ def _searched(search: Search, asked: Asked, folder: Path, pool: Any, console: Co
     return history
 
 
-def _checked(search: Search, asked: Asked, best: Candidate, pool: Any) -> list[Score]:
-    """The best candidate on robots that the search has not seen."""
+def _checked(
+    search: Search, asked: Asked, round_number: int, best: Candidate, pool: Any
+) -> dict[int, tuple[dict[str, Any], Score]]:
+    """The best candidate on robots that the search has not seen, with what became of them; others in each round."""
     scattered = spreads(search.loaded, asked.vary)
-    robots = [draw(scattered, asked.seed + CHECK_SEED, k) for k in range(asked.check)]
-    futures = [pool.submit(score, search.loaded, best.changes, k, robot) for k, robot in enumerate(robots)]
-    return [future.result() for future in futures]
+    first = round_number * asked.check
+    robots = {k: draw(scattered, asked.seed + CHECK_SEED, k) for k in range(first, first + asked.check)}
+    futures = {k: pool.submit(score, search.loaded, best.changes, k, robot) for k, robot in robots.items()}
+    return {k: (robots[k], future.result()) for k, future in futures.items()}
 
 
 def _found(

@@ -52,13 +52,17 @@ OnScores = Callable[[int], None]
 
 
 class Search(NamedTuple):
-    """What a search is made of: the scenario, what may be chosen, the robots that scatter, seed and population."""
+    """What a search is made of: the scenario, what may be chosen, the robots that scatter, seed and population.
+
+    It begins at the shares `start`, None: at the scenario's own programme.
+    """
 
     loaded: Loaded
     choices: tuple[Spread, ...]
     robots: tuple[dict[str, Any], ...]
     seed: int
     population: int | None
+    start: NDArray[np.float64] | None = None
 
     @property
     def dimension(self) -> int:
@@ -66,8 +70,8 @@ class Search(NamedTuple):
 
 
 def optimiser(search: Search) -> CMA:
-    """A new optimiser. Its first mean is the scenario's own programme where that lies within the ranges."""
-    mean = np.concatenate([one.shares() for one in search.choices])
+    """A new optimiser. Its first mean is the search's start, or what of the scenario's own lies within the ranges."""
+    mean = np.concatenate([one.shares() for one in search.choices]) if search.start is None else search.start
     # With its mean on a bound, half of the candidates would be moved back onto it.
     mean = np.clip(mean, 0.05, 0.95)
     bounds = np.tile([[0.0, 1.0]], (search.dimension, 1))
