@@ -153,6 +153,7 @@ def _searched(
 
     runs = optimiser(search).population_size * len(search.robots) * asked.generations
     history: list[list[Candidate]] = []
+    place = folder / GENERATIONS / str(round_number + 1)
     with bar:
         task = bar.add_task("", total=runs, number=1, of=asked.generations, best="")
         made = generations(
@@ -175,13 +176,13 @@ def _searched(
 
 def _checked(
     search: Search, asked: Asked, round_number: int, best: Candidate, pool: Any
-) -> dict[int, tuple[dict[str, Any], Score]]:
+) -> list[tuple[dict[str, Any], Score]]:
     """The best candidate on robots that the search has not seen, with what became of them; others in each round."""
     scattered = spreads(search.loaded, asked.vary)
     first = round_number * asked.check
     robots = {k: draw(scattered, asked.seed + CHECK_SEED, k) for k in range(first, first + asked.check)}
     futures = {k: pool.submit(score, search.loaded, best.changes, k, robot) for k, robot in robots.items()}
-    return {k: (robots[k], future.result()) for k, future in futures.items()}
+    return [(robots[k], future.result()) for k, future in futures.items()]
 
 
 def _found(
