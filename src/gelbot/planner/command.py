@@ -70,23 +70,31 @@ def seek(folder: Path, loaded: Loaded | None, asked: Asked | None, progress: boo
         found = {"met": False, "asked": _goals(loaded), "best": None, "limited_by": [reason]}
         return _ended(folder, found, console)
     with workers(os.cpu_count() or 1) as pool:
-        history: list[list[Candidate]] = []
-        for number in range(asked.rounds):
-            made = _searched(search, asked, folder, number, pool, console)
-            history += made
-            best = min((one for each in made for one in each), key=lambda one: one.worth)
-            checked = _checked(search, asked, number, best, pool) if best.scores[0].met else {}
-            failed = [robot for robot, one in checked.values() if not one.met][: asked.robots]
-            if not failed or number == asked.rounds - 1:
-                break
-            # Those on which it fails are what the next round has to learn.
-            told = f"round {number + 1}: failed on {len(failed)} of {len(checked)} robots that it had not seen"
-            console.print(told, highlight=False)
-            search = search._replace(robots=search.robots + tuple(failed), start=best.shares)
+        history, best, checked = _rounds(search, asked, folder, pool, console)
     draw_search([[_told(one) for one in made] for made in history], folder / "search.png")
-    return _ended(
-        folder, _found(search, asked, folder, best, [one for _, one in checked.values()], len(history)), console
-    )
+    return _ended(folder, _found(search, asked, folder, best, checked, len(history)), console)
+
+
+def _rounds(
+    search: Search, asked: Asked, folder: Path, pool: Any, console: Console
+) -> tuple[list[list[Candidate]], Candidate, list[Score]]:
+    """All rounds: their generations, the best candidate of the last one, and its scores on robots that no search saw.
+
+    What a round fails on is what the next one has to learn: these robots are added to its own.
+    """
+    history: list[list[Candidate]] = []
+    number = 0
+    while True:
+        made = _searched(search, asked, folder, number, pool, console)
+        history += made
+        best = min((one for each in made for one in each), key=lambda one: one.worth)
+        checked = _checked(search, asked, number, best, pool) if best.scores[0].met else []
+        failed = [robot for robot, one in checked if not one.met]
+        number += 1
+        if number == asked.rounds or (checked and not failed):
+            return history, best, [one for _, one in checked]
+        console.print(f"round {number}: failed on {len(failed)} of {len(checked)} unseen robots", highlight=False)
+        search = search._replace(robots=search.robots + tuple(failed[: asked.robots]), start=best.shares)
 
 
 def _search(loaded: Loaded, asked: Asked) -> Search:
@@ -156,13 +164,7 @@ def _searched(
     place = folder / GENERATIONS / str(round_number + 1)
     with bar:
         task = bar.add_task("", total=runs, number=1, of=asked.generations, best="")
-        made = generations(
-            search,
-            folder / GENERATIONS / str(round_number + 1),
-            asked.generations,
-            pool,
-            lambda runs: bar.update(task, advance=runs),
-        )
+        made = generations(search, place, asked.generations, pool, lambda runs: bar.update(task, advance=runs))
         for one in made:
             history.append(one)
             best = min((each for gone in history for each in gone), key=lambda each: each.worth)
