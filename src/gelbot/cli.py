@@ -248,6 +248,40 @@ def study(
         typer.echo(f"results in {folder}")
 
 
+@app.command("map")
+def map_(
+    scenario: Annotated[str, typer.Argument(help="A built-in scenario or a scenario file.")],
+    x: Annotated[str, typer.Option(metavar="KEY=LOW..HIGH", help="What changes from left to right.")],
+    y: Annotated[str, typer.Option(metavar="KEY=LOW..HIGH", help="What changes from bottom to top.")],
+    columns: Annotated[int, typer.Option(help="Values of x.")] = 20,
+    rows: Annotated[int, typer.Option(help="Values of y.")] = 12,
+    controller: Annotated[str, typer.Option(help="template, servo, planned or predictive.")] = "servo",
+    programme: Annotated[Path | None, typer.Option(help="The programme file of --controller planned.")] = None,
+    changes: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one value. Repeatable.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for the results. (default: maps/NAME)")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print map.json, and nothing else.")] = False,
+) -> None:
+    """Run a scenario over a grid of two of its values, and draw where its motion is met."""
+    with plain_errors():
+        from gelbot.scenario import load
+        from gelbot.study.sweep import Axes, sweep
+
+        loaded = load(scenario, changes or [])
+        folder = _folder(out, "maps", loaded.scenario.name)
+        try:
+            made = sweep(loaded, Axes(x, y, columns, rows), controller, programme, folder, progress=not as_json)
+        except KeyboardInterrupt:
+            typer.echo("gelbot: stopped", err=True)
+            sys.stderr.flush()
+            os._exit(STOPPED)
+    if as_json:
+        _print_json(made)
+    else:
+        typer.echo(f"met at {made['met']} of {made['n']} points; results in {folder}")
+
+
 @app.command()
 def plan(
     scenario: Annotated[str | None, typer.Argument(help="A built-in scenario or a scenario file.")] = None,

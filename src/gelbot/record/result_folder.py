@@ -16,6 +16,7 @@ MARKS = {
     "points.csv": "points of a field",
     "request.json": "a study",
     "asked.json": "a search for a programme",
+    "map.json": "a map",
 }
 """A folder that holds one of these holds results."""
 

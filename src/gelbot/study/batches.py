@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gelbot.controllers.choice import outcome_with
-from gelbot.ensemble import Outcome, as_ready
+from gelbot.ensemble import Changes, Outcome, as_ready
 from gelbot.errors import BadInput
 from gelbot.record.whole_file import write_text
 from gelbot.scenario.load import Loaded
@@ -37,15 +37,18 @@ class Task(NamedTuple):
 def run_batch(task: Task, first: int, last: int) -> list[dict[str, Any]]:
     """The rows of runs `first` to `last` - 1. A run that cannot begin is a failed run, with the reason."""
     scattered = spreads(task.loaded, task.vary)
-    rows = []
-    for run in range(first, last):
-        changes = draw(scattered, task.seed, run)
-        start = {"run": run, "seed": [task.seed, run], "changes": changes}
-        try:
-            rows.append(start | _row(outcome_with(task.controller, task.loaded, run, changes)))
-        except BadInput as error:
-            rows.append(start | _failed(str(error)))
-    return rows
+    return [
+        {"run": run, "seed": [task.seed, run], **run_one(task, run, draw(scattered, task.seed, run))}
+        for run in range(first, last)
+    ]
+
+
+def run_one(task: Task, run: int, changes: Changes) -> dict[str, Any]:
+    """What became of one robot, and what it `changes`."""
+    try:
+        return {"changes": dict(changes), **_row(outcome_with(task.controller, task.loaded, run, changes))}
+    except BadInput as error:
+        return {"changes": dict(changes), **_failed(str(error))}
 
 
 NUMBERS = (
