@@ -90,6 +90,13 @@ def run(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Change one value, such as body.thickness='1 mm'. Repeatable."),
     ] = None,
+    programme: Annotated[
+        Path | None, typer.Option(help="Play the programme of this file, such as one that gelbot plan found.")
+    ] = None,
+    planned: Annotated[bool, typer.Option("--planned", help="Play the programme planned for this scenario.")] = False,
+    direction: Annotated[
+        str | None, typer.Option(help='Play it in the direction of the body nearest to this one, such as "90 deg".')
+    ] = None,
     out: Annotated[Path | None, typer.Option("--out", help="Folder for the results. (default: runs/NAME)")] = None,
     movie: Annotated[bool, typer.Option("--movie/--no-movie", help="Make the movie.")] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON, and nothing else.")] = False,
@@ -99,6 +106,10 @@ def run(
         from gelbot.scenario import load
 
         loaded = load(scenario, changes or [])
+        if programme is not None or planned or direction is not None:
+            from gelbot.controllers.choice import with_controller
+
+            loaded = with_controller(loaded, "planned", programme, direction)
         folder = _folder(out, "runs", loaded.scenario.name)
 
         from gelbot.run import run_scenario
@@ -209,6 +220,10 @@ def study(
         typer.Option(help="template, servo or planned; several are compared on the same robots. (default: servo)"),
     ] = None,
     programme: Annotated[Path | None, typer.Option(help="The programme file of --controller planned.")] = None,
+    direction: Annotated[
+        str | None,
+        typer.Option(help='Of --controller planned: the body\'s direction nearest to this, such as "90 deg".'),
+    ] = None,
     changes: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one value. Repeatable.")
     ] = None,
@@ -231,10 +246,11 @@ def study(
 
             loaded = load(scenario, changes or [])
             folder = _folder(out, "studies", loaded.scenario.name)
-            asked = Asked(loaded, runs, seed, tuple(vary or ()), tuple(controller or ("servo",)), programme)
+            drivers = tuple(controller or ("servo" if direction is None else "planned",))
+            asked = Asked(loaded, runs, seed, tuple(vary or ()), drivers, programme, direction)
         else:
             asked = None
-            if scenario is not None or changes or vary or controller or programme or out:
+            if scenario is not None or changes or vary or controller or programme or direction or out:
                 raise BadInput("--resume", str(resume), "alone: what was asked for stands in the folder")
         try:
             made = conduct(folder, asked, scheduler, progress=not as_json)

@@ -38,7 +38,9 @@ class Request(NamedTuple):
     batch: int = BATCH
 
 
-def begin_study(loaded: Loaded, request: Request, folder: Path, programme: Path | None = None) -> None:
+def begin_study(
+    loaded: Loaded, request: Request, folder: Path, programme: Path | None = None, direction: str | None = None
+) -> None:
     """Write request and scenario into `folder`, from where the study can go on. Raises `BadInput` before that."""
     if request.runs < 1:
         raise BadInput("-n", request.runs, "1 run or more")
@@ -48,7 +50,7 @@ def begin_study(loaded: Loaded, request: Request, folder: Path, programme: Path 
         allowed = "a table [motion] that says what shall happen: a study counts how often it does"
         raise BadInput(f"{loaded.source}: motion", "nothing", allowed, "gelbot show turn-over")
     spreads(loaded, request.vary)
-    prepared = with_controller(loaded, request.controller, programme)
+    prepared = with_controller(loaded, request.controller, programme, direction)
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / SCENARIO, prepared.text)
     asked = {**request._asdict(), "source": loaded.source, "gelbot": __version__}

@@ -31,6 +31,7 @@ class Asked(NamedTuple):
     vary: tuple[str, ...]
     controllers: tuple[str, ...]
     programme: Path | None
+    direction: str | None = None
 
 
 def conduct(folder: Path, asked: Asked | None, scheduler: str | None, progress: bool) -> dict[str, Any]:
@@ -66,7 +67,7 @@ def _begin(folder: Path, asked: Asked) -> None:
             raise BadInput("--controller", controller, "one of " + ", ".join(CONTROLLERS))
     for controller in asked.controllers:
         request = Request(asked.runs, asked.seed, asked.vary, controller)
-        begin_study(asked.loaded, request, folder / controller if several else folder, asked.programme)
+        begin_study(asked.loaded, request, folder / controller if several else folder, asked.programme, asked.direction)
     if several:
         write_text(folder / REQUEST, json.dumps({"controllers": asked.controllers}, indent=2) + "\n")
 
