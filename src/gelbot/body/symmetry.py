@@ -5,9 +5,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.spatial import cKDTree
 
 from gelbot.body.outline import Outline
+
+MOST_ROTATIONS = 48
+"""More rotations than this are not looked for."""
+SAMPLES = 720
+"""Points along an outline where it is compared with its image, beside its corners."""
+SCAN = 180
+"""Directions in a half turn that are tried for mirror lines, before the best are refined."""
+NOTICED = 0.25
+"""What is symmetric to within this part of its own corners and notches has more than the symmetry of a circle."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +89,94 @@ def symmetry_group(outline: Outline, tolerance: float = 1e-6) -> SymmetryGroup:
     # A mirror angle just below pi is the line at 0 seen through rounding.
     mirrors = sorted(0.0 if np.pi - m < 1e-9 else m for m in mirrors)
     return SymmetryGroup(rotations, mirrors[0] if mirrors else None)
+
+
+def symmetry_within(outline: Outline, tolerance: float) -> SymmetryGroup:
+    """The largest group whose operations carry `outline` into itself but for `tolerance` times its reach.
+
+    For what was drawn by hand: not corners are compared but the curves, see `miss`. No operation may miss by more than
+    a `NOTICED` part of what the outline is from round, or an octagon would have the symmetry of a circle. Mirror lines
+    lie where the outline misses its image by least; one that is exact is taken as it is.
+    """
+    slack = max(min(tolerance, NOTICED * out_of_round(outline)), 1e-6)
+    exact = symmetry_group(outline)
+
+    def fits(group: SymmetryGroup) -> bool:
+        return all(miss(outline, matrix) <= slack for matrix in group.operations())
+
+    counts = range(max(MOST_ROTATIONS, exact.rotation_count), 0, -1)
+    count = next(n for n in counts if fits(SymmetryGroup(n, None)))
+    if exact.mirror_angle is not None:
+        angle = exact.mirror_angle % (np.pi / count)
+    else:
+        angle = _best_mirror(outline, count)
+    group = SymmetryGroup(count, angle)
+    return group if fits(group) else SymmetryGroup(count, None)
+
+
+def out_of_round(outline: Outline) -> float:
+    """How much less the outline's least distance from its centroid is than its reach, as a share of the reach."""
+    return 1.0 - float(outline.polygon.exterior.distance(shapely.Point(0.0, 0.0))) / outline.reach
+
+
+def _best_mirror(outline: Outline, count: int) -> float:
+    """The direction [rad] of a mirror line, in [0, pi/count), that misses by least with its `count` - 1 fellows."""
+    samples, period = _samples(outline), np.pi / count
+    tree = cKDTree(samples)
+    lines = np.arange(count) * period
+
+    def roughly(angle: float) -> float:
+        return max(float(tree.query(samples @ reflection(angle + line).T)[0].max()) for line in lines)
+
+    def exactly(angle: float) -> float:
+        return max(miss(outline, reflection(angle + line)) for line in lines)
+
+    tried = np.linspace(0.0, period, max(4, SCAN // count), endpoint=False)
+    step = period / len(tried)
+    best = tried[np.argsort([roughly(angle) for angle in tried], kind="stable")[:3]]
+    found = [minimize_scalar(exactly, bounds=(a - step, a + step), method="bounded", options={"xatol": 1e-7}) for a in best]
+    return float(min(found, key=lambda one: one.fun).x % period)
+
+
+def miss(outline: Outline, matrix: NDArray[np.float64]) -> float:
+    """How far an outline and its image under `matrix`, shape (2, 2), are apart, as a share of the outline's reach.
+
+    The Hausdorff distance: no point of either is further from the other.
+    """
+    samples, ring = _samples(outline), outline.polygon.exterior
+    # The outline is as far from its image as the image under the inverse is from the outline.
+    both = np.concatenate([samples @ matrix.T, samples @ matrix])
+    return float(shapely.distance(shapely.points(both), ring).max()) / outline.reach
+
+
+def _samples(outline: Outline) -> NDArray[np.float64]:
+    """Points along an outline, shape (p, 2): its corners and what lies between them at equal distances."""
+    ring = outline.polygon.exterior
+    places = np.linspace(0.0, 1.0, SAMPLES, endpoint=False)
+    between = shapely.get_coordinates(shapely.line_interpolate_point(ring, places, normalized=True))
+    return np.concatenate([outline.points, between])
+
+
+def images(points: NDArray[np.float64], matrix: NDArray[np.float64], slack: float) -> NDArray[np.int64] | None:
+    """Where the operation `matrix` carries `points`, shape (2, n) or (3, n): point k to the place of point `images[k]`.
+
+    In space it turns about the z axis or mirrors in an upright plane. None where a point comes to lie further than
+    `slack` from all of them, or two come to one.
+    """
+    moved = np.concatenate([matrix @ points[:2], points[2:]])
+    distance, image = cKDTree(points.T).query(moved.T)
+    if distance.max() > slack or len(np.unique(image)) < points.shape[1]:
+        return None
+    return image
+
+
+def carried_into_itself(nodes: NDArray[np.float64], group: SymmetryGroup, slack: float) -> NDArray[np.bool_]:
+    """Which operations of `group` carry a mesh's `nodes` [m], shape (3, n), into each other but for `slack` [m].
+
+    Shape (order,), as `group.operations()` has them. Where the mesh does not follow an operation, a simulated body
+    decides otherwise than its mirror image would.
+    """
+    return np.array([images(nodes, matrix, slack) is not None for matrix in group.operations()])
 
 
 def _corners(outline: Outline) -> NDArray[np.float64]:
