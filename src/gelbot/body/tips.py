@@ -18,11 +18,11 @@ from gelbot.body.symmetry import SymmetryGroup
 LEAST = 1e-6
 """A point that reaches out further than what lies around it by more than this share of the reach is no rounding."""
 APART, NOTCH = 0.5, 0.05
-"""Two corners are two tips if they are this share of the reach apart, or the outline falls back by that between them."""
+"""Shares of the reach: two corners so far apart are two tips, and so are two with a notch so deep between them."""
 
 
 class Tips(NamedTuple):
-    """Tips of a body: `points` [m], shape (a, 2), and `widths` [m], shape (a,), from corner to corner of a blunt one."""
+    """Tips of a body: `points` [m], shape (a, 2), and `widths` [m], (a,): from corner to corner of a blunt one."""
 
     points: NDArray[np.float64]
     widths: NDArray[np.float64]

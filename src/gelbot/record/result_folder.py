@@ -14,6 +14,7 @@ MARKS = {
     "field.json": "a field",
     "field.nc": "a field",
     "points.csv": "points of a field",
+    "directions.json": "directions",
 }
 """A folder that holds one of these holds results."""
 
