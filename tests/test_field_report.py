@@ -50,7 +50,8 @@ from gelbot.field_report.asked import Plane, Request, drive, planes
 from gelbot.field_report.moment import at_start
 from gelbot.field_report.report import checked, report_field
 from gelbot.field_report.sampling import grid, on_electrode, view
-from gelbot.field_report.words import NAMED, as_text, message
+from gelbot.field_report.words import NAMED, message
+from gelbot.record.json_text import as_text
 from gelbot.record.run_store import RunStore
 from gelbot.record.whole_file import write_through
 from gelbot.scenario import load

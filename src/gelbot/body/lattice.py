@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
-from scipy.signal import find_peaks
 
 from gelbot.body.outline import Outline
 from gelbot.body.symmetry import SymmetryGroup
+from gelbot.body.tips import tips_of
 from gelbot.body.triangulation import Triangulation, signed_areas, triangulate
 
 TIP_PART = 0.75
@@ -73,7 +72,7 @@ def build_body(outline: Outline, thickness: float, mesh_size: float, layer_count
     node_volume = _sums(both, volumes / 4.0, nodes.shape[1])
     spring_faces, weights = _adjacent_faces(springs, faces)
     node_area = _sums(faces, _face_areas(nodes, faces) / 3.0, nodes.shape[1])
-    tips, bases = _tip_points(outline)
+    tips = tips_of(outline).points
     return Body(
         outline=outline,
         group=plane.group,
@@ -91,7 +90,7 @@ def build_body(outline: Outline, thickness: float, mesh_size: float, layer_count
         node_area=node_area,
         centre=_column_weights(plane, np.zeros(2), layer_count),
         tips=np.array([_column_weights(plane, p, layer_count) for p in tips]),
-        tip_bases=np.array([_column_weights(plane, p, layer_count) for p in bases]),
+        tip_bases=np.array([_column_weights(plane, TIP_PART * p, layer_count) for p in tips]),
         hub=_hub(plane, outline),
     )
 
@@ -201,32 +200,6 @@ def _column_weights(plane: Triangulation, point: NDArray[np.float64], layer_coun
     column = np.zeros(len(plane.points))
     column[plane.triangles[best]] = inside / inside.sum()
     return np.tile(column / layer_count, layer_count)
-
-
-def _tip_points(outline: Outline) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where the outline reaches out furthest: its tips and the points that give their directions, shape (a, 2) each.
-
-    A blunt tip has two corners; corners closer together than half the reach are one tip.
-    """
-    ring = outline.polygon.exterior
-    places = np.linspace(0.0, 1.0, 2000, endpoint=False)
-    samples = shapely.get_coordinates(shapely.line_interpolate_point(ring, places, normalized=True))
-    samples = np.concatenate([outline.points, samples])
-    samples = samples[np.argsort(shapely.line_locate_point(ring, shapely.points(samples)), kind="stable")]
-    radius = np.linalg.norm(samples, axis=1)
-    start = int(np.argmin(radius))
-    samples, radius = np.roll(samples, -start, axis=0), np.roll(radius, -start)
-    peaks, _ = find_peaks(radius, prominence=1e-6 * outline.reach)
-    groups: list[list[NDArray[np.float64]]] = []
-    for p in samples[peaks]:
-        near = [g for g in groups if np.linalg.norm(g[0] - p) < 0.5 * outline.reach]
-        if near:
-            near[0].append(p)
-        else:
-            groups.append([p])
-    tips = np.array([np.mean(g, axis=0) for g in groups]) if groups else outline.points[:1]
-    tips = tips[np.argsort(np.round((np.arctan2(tips[:, 1], tips[:, 0]) + 1e-9) % (2.0 * np.pi), 8))]
-    return tips, TIP_PART * tips
 
 
 def _hub(plane: Triangulation, outline: Outline) -> NDArray[np.int64]:

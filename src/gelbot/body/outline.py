@@ -11,6 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from gelbot.errors import BadInput
 
+MM_PER_INCH = 25.4
+"""Pixels of an inch with which a drawing is read: then one of them is a millimetre."""
+CHORDS = 200
+"""Pieces of a curve as long as a drawing is wide."""
+
 
 @dataclass(frozen=True)
 class Outline:
@@ -116,17 +121,18 @@ def strip(length: float, width: float) -> Outline:
     return Outline(np.array([[-a, -b], [a, -b], [a, b], [-a, b]]))
 
 
-def outline_from_svg(path: Path, width: float, chord: float, where: str = "body.svg") -> Outline:
+def outline_from_svg(path: Path, width: float | None, chord: float | None, where: str = "body.svg") -> Outline:
     """The longest closed path of an SVG file, scaled so that its extent in x is `width` [m].
 
-    Curves are divided into pieces of about `chord` [m]. The y axis is turned upwards. Raises `BadInput` when the file
-    has no closed path.
+    Without a `width` it has the drawing's own size: as its `width` in mm, cm or in says, or else 1 mm for each of its
+    units. Curves are divided into pieces of about `chord` [m], or of a 200th of the width. The y axis is turned
+    upwards. Raises `BadInput` when the file has no closed path.
     """
     from svgelements import SVG, Close, Line, Move, Shape
     from svgelements import Path as SvgPath
 
     try:
-        elements = list(SVG.parse(str(path)).elements())
+        elements = list(SVG.parse(str(path), ppi=MM_PER_INCH).elements())
     except Exception as error:  # svgelements raises whatever its XML parser raises
         raise BadInput(where, str(path), f"a readable SVG file ({error})") from error
     paths = [abs(SvgPath(e)) for e in elements if isinstance(e, Shape)]  # abs: with turns and scales carried out
@@ -135,7 +141,10 @@ def outline_from_svg(path: Path, width: float, chord: float, where: str = "body.
         raise BadInput(where, str(path), "an SVG file with at least one closed path", "end the path with Z")
     longest = max(closed, key=lambda p: p.length(error=1e-3))
     box = longest.bbox()
-    scale = width / (box[2] - box[0])
+    if box is None or not box[2] > box[0]:
+        raise BadInput(where, str(path), "an SVG file with a closed path that has a width")
+    scale = 1e-3 if width is None else width / (box[2] - box[0])
+    chord = scale * (box[2] - box[0]) / CHORDS if chord is None else chord
     points: list[tuple[float, float]] = []
     for segment in longest:
         if isinstance(segment, Move):

@@ -24,7 +24,8 @@ from gelbot.field_report.dataset import field_dataset
 from gelbot.field_report.moment import Moment, at_start, of_run
 from gelbot.field_report.sampling import Sampled, field_at, on_electrode, sample, view
 from gelbot.field_report.settled import idle, settled
-from gelbot.field_report.words import as_text, gel_numbers, numbers
+from gelbot.field_report.words import gel_numbers, numbers
+from gelbot.record.json_text import as_text
 from gelbot.record.whole_file import write_text, write_through
 from gelbot.scenario.build import electrode_array, field_tank
 from gelbot.scenario.load import Loaded

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
-import re
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +18,6 @@ from gelbot.scenario.schema import Scenario
 
 NAMED = 4
 """So many electrodes a message names, the worst; of the rest it gives the number."""
-FLAT_LIST = re.compile(r"\[\n\s+([^\[\]{}]*?)\n\s*\]")
 
 
 def numbers(
@@ -125,20 +121,6 @@ def _named(excess: Excess, names: list[str]) -> str:
     worst = [names[n] for n in excess.electrodes[:NAMED]]
     more = len(excess.electrodes) - len(worst)
     return ", ".join(worst) + (f" and {more} more" if more else "")
-
-
-def as_text(value: dict[str, Any]) -> str:
-    """`value` as JSON, lists of plain values on one line each; what is not finite is null."""
-    text = json.dumps(_finite(value), indent=2, allow_nan=False)
-    return FLAT_LIST.sub(lambda found: "[" + re.sub(r",\n\s+", ", ", found[1]) + "]", text) + "\n"
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _as_given(option: Any) -> Any:

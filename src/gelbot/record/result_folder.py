@@ -17,6 +17,7 @@ MARKS = {
     "request.json": "a study",
     "asked.json": "a search for a programme",
     "map.json": "a map",
+    "directions.json": "directions",
 }
 """A folder that holds one of these holds results."""
 

@@ -25,10 +25,10 @@ def electrode_outlines(run: xr.Dataset) -> list[Outline]:
         square = half * np.array([[-1.0, 1.0, 1.0, -1.0], [-1.0, -1.0, 1.0, 1.0], [0.0, 0.0, 0.0, 0.0]])
         centres = run["electrode_centre"].transpose("electrode", "space").values
         return [Outline(centre[:, None] + square, np.zeros((3, 0))) for centre in centres]
-    return [_split(points) for points in run["electrode_outline"].transpose("electrode", "space", ...).values]
+    return [split(points) for points in run["electrode_outline"].transpose("electrode", "space", ...).values]
 
 
-def _split(points: Floats) -> Outline:
+def split(points: Floats) -> Outline:
     """The corners before the first column of NaN, and those after it."""
     given = np.isfinite(points[0])
     first = len(given) if given.all() else int(np.argmin(given))
