@@ -350,7 +350,7 @@ def plan(
 
             loaded = load(scenario, changes or [])
             if programme is not None:
-                loaded = with_programme(loaded, planned(loaded, programme))
+                loaded = with_programme(loaded, planned(loaded, programme)["programme"])
             folder = _folder(out, "plans", loaded.scenario.name)
             asked = Asked(tuple(choose or ()), tuple(vary or ()), robots, generations, rounds, population, check, seed)
         else:

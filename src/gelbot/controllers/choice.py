@@ -17,56 +17,96 @@ from typing import Any
 import jax
 import numpy as np
 
+from gelbot.body.symmetry import symmetry_group
 from gelbot.controllers.predictive import march_predictive
 from gelbot.ensemble import Changes, Outcome, judged, nominal_experiment, numbered_experiment, outcome, programs_of
 from gelbot.errors import BadInput
+from gelbot.plan.directions import directions, find_tips
 from gelbot.scenario.load import Loaded, checked
 from gelbot.scenario.overrides import with_changes
+from gelbot.units import quantity
 
 CONTROLLERS = ("template", "servo", "planned", "predictive")
 SAMPLES = 0.5
 """Voltages of a nominal run are kept this often [s], straight lines between."""
 
 
-def with_controller(loaded: Loaded, controller: str, programme: Path | None = None) -> Loaded:
+def with_controller(
+    loaded: Loaded, controller: str, programme: Path | None = None, direction: str | None = None
+) -> Loaded:
     """`loaded` with the programme of `controller`; `programme` is the file of a planned one.
 
-    Raises `BadInput` for a controller that does not exist, and for a scenario for which nothing was planned.
+    A planned one goes in the `direction` of the body that is nearest to this angle, such as "90 deg"; None: as it was
+    planned. Raises `BadInput` for a controller that does not exist, and for a scenario for which nothing was planned.
     """
     if controller not in CONTROLLERS:
         raise BadInput("--controller", controller, "one of " + ", ".join(CONTROLLERS))
     if controller == "template":
         return with_programme(loaded, _open_loop(loaded))
-    if controller in ("planned", "predictive"):
-        return with_programme(loaded, planned(loaded, programme))
-    return loaded
+    if controller not in ("planned", "predictive"):
+        return loaded
+    if direction is None:
+        return with_programme(loaded, planned(loaded, programme)["programme"])
+    return _directed(loaded, programme, direction)
 
 
-def with_programme(loaded: Loaded, programme: dict[str, Any]) -> Loaded:
-    """`loaded` with another [programme], given as parsed TOML."""
-    text = with_changes(loaded.text, [(["programme"], programme)])
+def with_programme(loaded: Loaded, programme: dict[str, Any], motion: dict[str, Any] | None = None) -> Loaded:
+    """`loaded` with another [programme], given as parsed TOML, and another [motion] where there is one."""
+    changes = [(["programme"], programme), *([] if motion is None else [(["motion"], motion)])]
+    text = with_changes(loaded.text, changes)
     return Loaded(checked(tomllib.loads(text), loaded.source), text, loaded.source)
 
 
-def planned(loaded: Loaded, programme: Path | None) -> dict[str, Any]:
-    """The [programme] of the file, or of the one that comes with gelbot for the scenario of this name."""
+def _directed(loaded: Loaded, programme: Path | None, direction: str) -> Loaded:
+    """A planned programme in the direction of the body that is nearest to `direction`.
+
+    Over one tip and over two are different motions, and have programmes of their own. The programme tells by its
+    [motion] which way it goes; it is turned from there, see `plan.carry`.
+    """
+    body = loaded.scenario.body
+    outline, asked = body.outline(), quantity(direction, "rad", "--direction")
+    group = symmetry_group(outline)
+    ways = directions(find_tips(outline, group), group)
+    nearest = min(ways, key=lambda way: abs(_between(way.angle + body.pose.heading, asked)))
+    angle = nearest.angle + body.pose.heading
+    file = planned(loaded, programme, KINDS[len(nearest.over)])
+    motion = file.get("motion")
+    if not isinstance(motion, dict) or "direction" not in motion:
+        raise BadInput("--direction", direction, "only with a programme whose file has a [motion] with its direction")
+    own = quantity(motion["direction"], "rad", "motion.direction")
+    turn = _between(angle, own)
+    turned = {**file["programme"], "turn": f"{np.degrees(turn):.9g} deg"} if abs(turn) > 1e-6 else file["programme"]
+    return with_programme(loaded, turned, {**motion, "direction": f"{np.degrees(angle) % 360.0:.9g} deg"})
+
+
+KINDS = {1: "over-one", 2: "over-two"}
+"""What the file of a programme is called by the number of tips over which the body turns."""
+
+
+def _between(angle: float, other: float) -> float:
+    """angle - other [rad], in [-pi, pi)."""
+    return float((angle - other + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def planned(loaded: Loaded, programme: Path | None, kind: str | None = None) -> dict[str, Any]:
+    """What stands in the programme file, or in the one of this `kind` that comes with gelbot for the scenario: a table
+    [programme], and the [motion] for which it was planned."""
     if programme is None:
-        found = files("gelbot.scenario") / "library" / "programmes" / f"{loaded.scenario.name}.toml"
+        name = loaded.scenario.name if kind is None else f"{loaded.scenario.name}.{kind}"
+        found = files("gelbot.scenario") / "library" / "programmes" / f"{name}.toml"
         if not found.is_file():
-            allowed = (
-                f"a scenario with a planned programme, or the file of one; there is none for {loaded.scenario.name}"
-            )
+            allowed = f"a scenario with a planned programme, or the file of one; there is none for {name}"
             raise BadInput("--controller", "planned", allowed, f"gelbot plan {loaded.source}, then --programme FILE")
         text, place = found.read_text(encoding="utf-8"), found.name
     else:
         text, place = _text_of(programme), str(programme)
     try:
-        table = tomllib.loads(text).get("programme")
+        file = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise BadInput(place, str(error), "TOML with a table [programme]") from error
-    if not isinstance(table, dict):
+    if not isinstance(file.get("programme"), dict):
         raise BadInput(place, "no table [programme]", "a programme file of gelbot plan, or a scenario")
-    return table
+    return file
 
 
 def _text_of(path: Path) -> str:

@@ -215,7 +215,8 @@ def _found(
         "limited_by": limited_by(search, best),
     }
     text = with_changes(search.loaded.text, [(key.split("."), value) for key, value in best.changes.items()])
-    programme = tomllib.loads(text)["programme"]
+    data = tomllib.loads(text)
+    programme = data["programme"]
     heads = [
         f"Found by gelbot plan {search.loaded.source}, seed {asked.seed}, in {count} generations; asked for:",
         *(f"  {goal}" for goal in found["asked"]),
@@ -225,7 +226,8 @@ def _found(
         "Play it: gelbot run NAME --programme FILE",
     ]
     comment = "".join(f"# {line}\n" for line in heads)
-    write_text(folder / (PROGRAMME if enough else ATTEMPT), comment + "\n" + tomlkit.dumps({"programme": programme}))
+    tables = {"programme": programme, "motion": data["motion"]}
+    write_text(folder / (PROGRAMME if enough else ATTEMPT), comment + "\n" + tomlkit.dumps(tables))
     return found
 
 

@@ -183,7 +183,8 @@ def _converted(number: float, unit: str, to: str, key: str) -> float:
 
 
 def _written(number: float, unit: str) -> Any:
-    return f"{number!r} {unit}" if unit else number
+    # So many digits are plenty, and can be read.
+    return f"{number:.7g} {unit}" if unit else float(f"{number:.7g}")
 
 
 def _plain(text: str) -> Any:
