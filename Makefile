@@ -9,7 +9,7 @@ unexport PYTHONDONTWRITEBYTECODE
 unexport PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test quick lint bench clean
+.PHONY: help demo test quick lint bench paper clean
 
 help: ## say what can be made
 	@sed -n 's/^\([a-z]*\):.*## /make \1\t/p' $(MAKEFILE_LIST)
@@ -28,6 +28,9 @@ lint: $(VENV)/dev.stamp ## style, types, layers
 
 bench: $(VENV)/bench.stamp ## how fast it is: a table, and bench.json; takes minutes, wants a quiet machine
 	$(BIN)/python benchmarks/run.py
+
+paper: $(VENV)/gelbot.stamp ## the paper's table beside gelbot's, 300 robots each, and all ten directions; an hour on two cores
+	$(BIN)/python examples/paper.py --directions
 
 clean: ## remove the environment and all caches; runs/ stays
 	rm -rf $(VENV) build dist .pytest_cache .ruff_cache .hypothesis .import_linter_cache src/*.egg-info
