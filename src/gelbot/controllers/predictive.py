@@ -49,6 +49,10 @@ UPRIGHT = 0.8
 """While its normal's z is above this, the twin is kept where the robot is seen."""
 
 
+ALIKE = 0.9
+"""The twin is believed while the cosine between its normal and the robot's is above this."""
+
+
 def hold(voltages: Array, time: Array, observation: Observation) -> tuple[Array, Array, None]:
     """A controller that holds the `voltages` that it remembers."""
     return voltages, voltages, None
@@ -109,7 +113,11 @@ class Predictive:
         began = None if self.clock is None else self.clock()
         if float(time) > 0.5 * self.period:
             self.twin = corrected(self._brought_on(self.twin), seen)
-        chosen = self._plan(began, seen)
+        if believed(self.twin, seen):
+            chosen = self._plan(began, seen)
+        else:
+            # A twin that lies otherwise than the robot knows nothing of its future: the programme goes on as it is.
+            chosen, self.trials = None, []
         if chosen is not None and chosen != int(self.progress.phase):
             self.progress = self.progress._replace(phase=jnp.asarray(chosen), began=time)
             self.trials = []
@@ -217,6 +225,12 @@ def _onto(own: Observation, seen: Observation) -> tuple[NDArray[np.float64], flo
     a, b = (np.asarray(one.tips)[:2] - np.asarray(one.centre)[:2, None] for one in (own, seen))
     way = float(np.arctan2(np.sum(a[0] * b[1] - a[1] * b[0]), np.sum(a * b)))
     return np.asarray(seen.centre)[:2] - np.asarray(own.centre)[:2], way
+
+
+def believed(twin: Twin, seen: Observation) -> bool:
+    """Whether the twin lies as the robot is seen to lie."""
+    own = observe(twin.model.points, twin.state.positions)
+    return float(jnp.sum(own.normal * seen.normal)) > ALIKE
 
 
 def corrected(twin: Twin, seen: Observation) -> Twin:
