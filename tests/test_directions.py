@@ -704,6 +704,16 @@ class TestCommand:
         assert Path("directions/star/directions.png").exists()
         assert reported("star.svg", "--tolerance", "0.001")["order"] == 1
 
+    def test_a_pen_that_writes_down_every_step(self):
+        corners = hand_drawn()
+        share = np.linspace(0.0, 1.0, 300, endpoint=False)[:, None]
+        ends = zip(corners, np.roll(corners, -1, axis=0), strict=True)
+        name = draw(np.concatenate([a + share * (b - a) + 0.2 * np.sin(np.pi * share) * np.cos(20.0 * share)
+                                    for a, b in ends]), "pen.svg")  # fmt: skip
+        assert len(outline_from_svg(Path(name), None, None).points) > 2000
+        assert len(subject(name).outline.points) < 300
+        assert (reported(name)["order"], len(reported(name)["tips"])) == (10, 5)
+
     def test_width_of_a_drawing(self):
         name = draw(hand_drawn())
         extent = np.ptp(outline_from_svg(Path(name), 15 * MM, None).points[:, 0])

@@ -80,8 +80,8 @@ def symmetry_group(outline: Outline, tolerance: float = 1e-6) -> SymmetryGroup:
 
     def carries(matrix: NDArray[np.float64]) -> bool:
         image = points @ matrix.T
-        distance = np.linalg.norm(image[:, None] - points[None], axis=-1)
-        return bool(np.all(distance.min(axis=1) < slack) and np.all(distance.min(axis=0) < slack))
+        there, back = cKDTree(points).query(image)[0], cKDTree(image).query(points)[0]
+        return bool(there.max() < slack and back.max() < slack)
 
     first = int(np.argmax(radii))
     targets = np.flatnonzero(np.abs(radii - radii[first]) < slack)
