@@ -80,7 +80,7 @@ def pinwheel(blades: int = 4) -> Outline:
 
 def odd_one() -> Outline:
     """Three arms without any symmetry."""
-    return outline_from_points(MM * np.array([[8, 0], [1, 1.5], [-2, 6], [-1.5, 0.5], [-6, -4], [0.5, -2]]))
+    return outline_from_points(MM * np.array([[9, 0], [1, 1.5], [-1, 4.5], [-1.5, 0.5], [-6.5, -2], [0.5, -2]]))
 
 
 def long_arm(factor: float = 1.3) -> Outline:
@@ -258,7 +258,7 @@ class TestRule:
         for name in ("five arms", "cross", "strip", "square", "pinwheel", "odd", "fourteen arms"):
             outline = SHAPES[name]()
             body = build_body(outline, 1 * MM, 0.9 * MM)
-            tips = find_tips(outline, symmetry_within(outline, 1e-6))
+            tips = find_tips(outline, symmetry_within(outline, TOLERANCE))
             seen = (body.nodes @ body.tips.T)[:2].T
             assert seen == pytest.approx(tips.points, abs=1e-9)
 
@@ -279,6 +279,7 @@ class TestGroupAndTable:
                 assert sorted(tips[list(one.supports)]) == list(other.supports)
                 assert (one.travel, one.stable) == (pytest.approx(other.travel), other.stable)
 
+    @pytest.mark.slow
     @settings(max_examples=20)
     @given(
         arms=st.integers(3, 12),
@@ -341,6 +342,12 @@ class TestTolerance:
         assert symmetry_within(long_arm(1.12), TOLERANCE).order == 2
         assert symmetry_within(long_arm(1.04), TOLERANCE).order == 10
         assert symmetry_within(long_arm(1.04), 0.01).order == 2
+
+    def test_a_pinwheel_is_not_mistaken_for_a_star(self):
+        """Its blades are bent by less than a hand would shake; but as it was drawn exactly, the bend is meant."""
+        mirrored = SymmetryGroup(4, float(np.arctan2(1.5, 6.0)))
+        assert max(miss(pinwheel(), matrix) for matrix in mirrored.operations()) < TOLERANCE
+        assert (symmetry_within(pinwheel(), TOLERANCE).order, symmetry_group(pinwheel()).order) == (4, 4)
 
     def test_a_polygon_of_many_corners_is_no_circle(self):
         for count in (6, 8, 12, 24):
@@ -581,6 +588,7 @@ class TestTogether:
         assert together[exchange].tolist() == patterns.tolist()
         assert carried(patterns[:, 2], exchange).tolist() == together[:, 2].tolist()
 
+    @pytest.mark.slow
     def test_a_turned_body_is_the_same_experiment(self):
         """With the heading that is named for it, each direction of the solved kind lies along the solved one."""
         report = reported("turn-over")
@@ -696,6 +704,16 @@ class TestCommand:
         assert Path("directions/star/directions.png").exists()
         assert reported("star.svg", "--tolerance", "0.001")["order"] == 1
 
+    def test_a_pen_that_writes_down_every_step(self):
+        corners = hand_drawn()
+        share = np.linspace(0.0, 1.0, 300, endpoint=False)[:, None]
+        ends = zip(corners, np.roll(corners, -1, axis=0), strict=True)
+        name = draw(np.concatenate([a + share * (b - a) + 0.2 * np.sin(np.pi * share) * np.cos(20.0 * share)
+                                    for a, b in ends]), "pen.svg")  # fmt: skip
+        assert len(outline_from_svg(Path(name), None, None).points) > 2000
+        assert len(subject(name).outline.points) < 300
+        assert (reported(name)["order"], len(reported(name)["tips"])) == (10, 5)
+
     def test_width_of_a_drawing(self):
         name = draw(hand_drawn())
         extent = np.ptp(outline_from_svg(Path(name), 15 * MM, None).points[:, 0])
@@ -707,10 +725,11 @@ class TestCommand:
         twice = draw(hand_drawn(), "twice.svg", 'width="200mm" height="200mm" viewBox="0 0 100 100"')
         assert reported(twice)["tips"][0]["radius_mm"] == pytest.approx(2.0 * own["tips"][0]["radius_mm"], rel=1e-4)
 
-    @pytest.mark.parametrize("name", [*SHAPES])
+    @pytest.mark.slow
+    @pytest.mark.parametrize("name", SHAPES)
     def test_every_shape_is_drawn(self, name: str):
         outline = SHAPES[name]()
-        report = reported(draw(np.array([50.0, 50.0]) + outline.points * [1e3, -1e3]), "--tolerance", "0.01")
+        report = reported(draw(np.array([50.0, 50.0]) + outline.points * [1e3, -1e3]))
         assert report["order"] == symmetry_group(outline).order
         assert len(report["directions"]) == len(found(outline)[1])
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,8 @@ SAMPLES = 720
 """Points along an outline where it is compared with its image, beside its corners."""
 SCAN = 180
 """Directions in a half turn that are tried for mirror lines, before the best are refined."""
+ALIKE, WITH_CARE = 3.0, 0.01
+"""Mirror images may miss by so many times as much as turned ones, or by this share of the reach, if that is more."""
 DENSE = 4
 """So many times as many points are looked among for the one nearest to a point's image."""
 NOTICED = 0.25
@@ -78,8 +80,8 @@ def symmetry_group(outline: Outline, tolerance: float = 1e-6) -> SymmetryGroup:
 
     def carries(matrix: NDArray[np.float64]) -> bool:
         image = points @ matrix.T
-        distance = np.linalg.norm(image[:, None] - points[None], axis=-1)
-        return bool(np.all(distance.min(axis=1) < slack) and np.all(distance.min(axis=0) < slack))
+        there, back = cKDTree(points).query(image)[0], cKDTree(image).query(points)[0]
+        return bool(there.max() < slack and back.max() < slack)
 
     first = int(np.argmax(radii))
     targets = np.flatnonzero(np.abs(radii - radii[first]) < slack)
@@ -110,18 +112,21 @@ def symmetry_within(outline: Outline, tolerance: float) -> SymmetryGroup:
     """The largest group whose operations carry `outline` into itself but for `tolerance` times its reach.
 
     For what was drawn by hand: not corners are compared but the curves, see `miss`. No operation may miss by more than
-    a `NOTICED` part of what the outline is from round, or an octagon would have the symmetry of a circle. Mirror lines
-    lie where the outline misses its image by least; one that is exact is taken as it is.
+    a `NOTICED` part of what the outline is from round, or an octagon would have the symmetry of a circle; and no mirror
+    image by much more than the rotations, or a pinwheel that was drawn with care would have mirrors. Mirror lines lie
+    where the outline misses its image by least; one that is exact is taken as it is.
     """
     slack = max(min(tolerance, NOTICED * out_of_round(outline)), 1e-6)
     exact = symmetry_group(outline)
 
-    def turns(count: int) -> bool:
+    def turns(count: int) -> Iterator[float]:
         # The other half of the rotations are inverses of these, and miss by as much.
-        angles = 2.0 * np.pi * np.arange(1, count // 2 + 1) / count
-        return all(miss(outline, rotation(float(angle))) <= slack for angle in angles)
+        return (miss(outline, rotation(2.0 * np.pi * k / count)) for k in range(1, count // 2 + 1))
 
-    count = next(n for n in range(max(MOST_ROTATIONS, exact.rotation_count), 0, -1) if turns(n))
+    most = max(MOST_ROTATIONS, exact.rotation_count)
+    count = next(n for n in range(most, 0, -1) if all(missed <= slack for missed in turns(n)))
+    if count > 1:
+        slack = min(slack, max(ALIKE * max(turns(count)), WITH_CARE))
     mirror = _best_mirror(outline, count) if exact.mirror_angle is None else exact.mirror_angle
     group = SymmetryGroup(count, mirror % (np.pi / count))
     mirrored = all(miss(outline, reflection(float(angle))) <= slack for angle in group.mirror_angles)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gelbot.body.outline import Outline, outline_from_svg
+from gelbot.body.outline import Outline, outline_from_points, outline_from_svg
 from gelbot.errors import BadInput
 from gelbot.scenario.load import Loaded, load
 from gelbot.units import quantity
@@ -17,6 +17,8 @@ from gelbot.units import quantity
 UNNAMED = "outline"
 """What results are called of a drawing whose file has no name that a folder could have."""
 TOLERANCE_MOST = 0.25
+MANY, STRAIGHT = 300, 5e-4
+"""A drawing of more points is thinned: what is off a line by less than this share of the reach is no corner."""
 
 
 class Subject(NamedTuple):
@@ -58,11 +60,19 @@ def _drawn(path: Path, width: str | None) -> Subject:
     if not path.is_file():
         what = "this is a folder" if path.is_dir() else "there is no such file"
         raise BadInput("outline", str(path), f"an SVG file with a closed path; {what}")
-    outline = outline_from_svg(path, size, None, "outline")
+    outline = _thinned(outline_from_svg(path, size, None, "outline"))
     kept = "".join(
         letter if letter.isascii() and (letter.isalnum() or letter in "._-") else "-" for letter in path.stem
     )
     return Subject(kept.strip("-.") or UNNAMED, str(path), outline, np.zeros(2), 0.0, None)
+
+
+def _thinned(outline: Outline) -> Outline:
+    """The outline of a pen that wrote down every step, without the points that lie on a line but for `STRAIGHT`."""
+    if len(outline.points) <= MANY:
+        return outline
+    ring = outline.polygon.simplify(STRAIGHT * outline.reach).exterior
+    return outline_from_points(np.asarray(ring.coords), "outline")
 
 
 def checked_tolerance(tolerance: float) -> float:
