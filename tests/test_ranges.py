@@ -262,11 +262,14 @@ def test_the_table_scatter_is_read_flat_however_it_is_written(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("table", "said"),
     [
-        ('[scatter]\nmaterial.p_l = "10 %"\n', "mine.toml: scatter.material.p_l: got '10 %'; allowed: a range of values"),
+        (
+            '[scatter]\nmaterial.p_l = "10 %"\n',
+            "mine.toml: scatter.material.p_l: got '10 %'; allowed: a range of values",
+        ),
         ("[scatter]\nmaterial.p_l = 0.1\n", "scatter.material.p_l: got 0.1; allowed: a range of values"),
         ('[scatter]\nbody.pose.position = ["+-1 mm", "+-2 mm"]\n', "scatter.body.pose.position: got"),
     ],
-)  # fmt: skip
+)
 def test_mistakes_in_the_table_scatter_are_explained(tmp_path: Path, table: str, said: str) -> None:
     with pytest.raises(BadInput, match=re.escape(said)):
         scatter_of(tmp_path, table)

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from gelbot.scenario.bodies import Body
 from gelbot.scenario.electrodes import Electrodes
-from gelbot.scenario.fields import Table, check_multiple
+from gelbot.scenario.fields import Table, check_multiple, wrong
 from gelbot.scenario.motions import Motion
 from gelbot.scenario.obstacle_shapes import AnyObstacle, CylinderObstacle
 from gelbot.scenario.placement import check_gel_is_clear, check_reach, check_tank, check_voltages
