@@ -369,13 +369,14 @@ class TestFolder:
     def test_every_failed_run_can_be_repeated(self, whole: Path, file: Path) -> None:
         loaded = load(str(file))
         rows = {row["run"]: row for batch in batches(whole, RUNS, 5) for row in rows_of(batch)}
-        for path in (whole / "failed").iterdir():
-            again = load(str(path)).scenario
-            assert again == scenario_of(loaded, rows[int(path.stem[4:])]["changes"])
+        files = {int(path.stem.removeprefix("run-")): path for path in (whole / "failed").iterdir()}
+        for run, path in files.items():
+            assert load(str(path)).scenario == scenario_of(loaded, rows[run]["changes"])
+        run, path = files.popitem()
         (one,) = march_all(load(str(path)), [{}], processes=1)
         assert one.reached is not None
         assert not one.reached.met
-        assert one.reached.shortfall == pytest.approx(rows[int(path.stem[4:])]["shortfall"], rel=1e-6)
+        assert one.reached.shortfall == pytest.approx(rows[run]["shortfall"], rel=1e-6)
 
     @pytest.mark.parametrize("batch", [1, RUNS + 5])
     def test_batches_do_not_matter(self, whole: Path, file: Path, here: Executor, tmp_path: Path, batch: int) -> None:
@@ -740,12 +741,45 @@ class TestCluster:
         with cluster(two_workers.scheduler_address) as executor, pytest.raises(BadInput, match="place: got 3"):
             executor.submit(failing).result()
 
-    def test_a_cluster_that_gives_up_is_one_message(self, file: Path, tmp_path: Path, two_workers: Any) -> None:
+    def test_a_cluster_that_gives_up_is_one_message(self, two_workers: Any) -> None:
         from distributed import KilledWorker
 
-        with pytest.raises(GelbotError, match=r"the cluster at .* gave the runs back undone"):  # noqa: SIM117
-            with cluster(two_workers.scheduler_address):
-                raise KilledWorker("run_batch", two_workers, 3)
+        with (
+            pytest.raises(GelbotError, match=r"the cluster at .* lost worker after worker\. gelbot study --resume"),
+            cluster(two_workers.scheduler_address),
+        ):
+            raise KilledWorker("run_batch", two_workers, 3)
+
+    def test_a_scheduler_that_dies_is_one_message_and_what_was_done_is_kept(
+        self, whole: Path, file: Path, here: Executor, tmp_path: Path
+    ) -> None:
+        folder = begun(file, tmp_path / "gone", request(batch=1))
+        program = tmp_path / "scheduler.py"
+        program.write_text(SCHEDULER)
+        with subprocess.Popen(
+            [sys.executable, str(program)], start_new_session=True, stdout=subprocess.PIPE, text=True
+        ) as process:
+            assert process.stdout is not None
+            with (
+                pytest.raises(GelbotError, match=r"the cluster at .* is gone\. gelbot study --resume"),
+                cluster(process.stdout.readline().strip()) as executor,
+            ):
+                run_study(folder, executor, lambda rows: os.killpg(process.pid, signal.SIGKILL))
+        assert 1 <= len(list((folder / "batches").iterdir())) < RUNS
+        run_study(folder, here)
+        assert results(folder) == results(whole)
+
+
+SCHEDULER = """
+import time
+from distributed import LocalCluster
+
+if __name__ == "__main__":
+    here = {"host": "127.0.0.1", "dashboard_address": None, "memory_limit": 0}
+    with LocalCluster(n_workers=1, threads_per_worker=1, **here) as made:
+        print(made.scheduler_address, flush=True)
+        time.sleep(600)
+"""
 
 
 def failing() -> None:

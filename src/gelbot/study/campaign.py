@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Executor
@@ -118,9 +119,13 @@ def cluster(address: str) -> Iterator[Executor]:
     """The workers of a dask.distributed scheduler at `address`, where gelbot is installed too. Raises `GelbotError`."""
     try:
         from distributed import Client, KilledWorker
+        from distributed.comm import get_address_host_port
     except ImportError as error:
         raise GelbotError("--scheduler needs dask.distributed. Try: pip install 'gelbot[cluster]'") from error
+    # That it lost its scheduler is said below.
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     try:
+        get_address_host_port(address, strict=True)
         client = Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
         raise BadInput(
@@ -130,4 +135,5 @@ def cluster(address: str) -> Iterator[Executor]:
         try:
             yield client.get_executor()
         except (KilledWorker, CancelledError) as error:
-            raise GelbotError(f"the cluster at {address} gave the runs back undone: {error or 'it is gone'}") from error
+            lost = "lost worker after worker" if isinstance(error, KilledWorker) else "is gone"
+            raise GelbotError(f"the cluster at {address} {lost}. gelbot study --resume DIR goes on") from error
