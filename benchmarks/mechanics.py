@@ -39,6 +39,13 @@ REPEATS = 5
 ROBOTS = (64, 1024)
 BATCH_MOTION = 10.0
 """Simulated seconds of each robot of an ensemble."""
+SCATTER = (
+    "body.pose.position=+-0.5 mm",
+    "body.pose.heading=+-3 deg",
+    "material.p_ele=+-15 %",
+    "material.p_l=+-3 %",
+)
+"""How the robots of an ensemble differ."""
 SIZES = {0.82e-3: 300, 0.43e-3: 1_000, 0.235e-3: 3_000, 0.125e-3: 10_000, 0.0715e-3: 30_000}
 """Mesh sizes [m] of the starfish that grows, and about how many nodes it has."""
 GROWTH_STEPS = 10
@@ -182,8 +189,9 @@ def single(nodes: int) -> Rows:
 
 def ensemble(count: int) -> Rows:
     """`count` robots of the scenario dome, field and adsorption included, on all cores against one of them."""
-    from gelbot.ensemble import march_all, scattered
+    from gelbot.ensemble import march_all
     from gelbot.scenario import load
+    from gelbot.study.scatter import draw, spreads
 
     changes = (
         f'body.mesh_size="{MESH_SIZES[320] * 1e3:g} mm"',
@@ -193,15 +201,19 @@ def ensemble(count: int) -> Rows:
     )
     loaded = load("dome", changes)
     steps = round(BATCH_MOTION / loaded.scenario.simulation.time_step)
-    scatter = partial(scattered, seed=1, shift=0.5e-3, turn=0.05, p_ele=0.15, p_l=0.03)
+    scattered = spreads(loaded, SCATTER)
+
+    def robots(count: int) -> list[dict[str, Any]]:
+        return [draw(scattered, 1, k) for k in range(count)]
+
     cores = os.cpu_count() or 1
     # The first robot of a process warms it up.
-    alone = list(march_all(loaded, scatter(9), processes=1))[1:]
+    alone = list(march_all(loaded, robots(9), processes=1))[1:]
     assert all(one.converged for one in alone)
     single_rate = steps / float(np.mean([one.summary["wall_s"] for one in alone]))
     # From the first robot that is ready to the last one: what building and compiling take is not counted.
     ready, converged = [], True
-    for one in march_all(loaded, scatter(count)):
+    for one in march_all(loaded, robots(count)):
         ready.append(time.perf_counter())
         converged &= one.converged
     assert converged

@@ -16,7 +16,7 @@ from typing import Any
 
 from gelbot.errors import GelbotError
 from gelbot.scenario import load
-from gelbot.study.campaign import Request, asked_in, begin_study, run_study
+from gelbot.study.campaign import Request, asked_in, begin_study, prepare_study, run_study
 from gelbot.study.compare import compare
 from gelbot.study.report import Report
 
@@ -31,7 +31,8 @@ DIRECTIONS = [round(9.0 + 36.0 * k) for k in range(10)]
 def study(folder: Path, runs: int, controller: str, direction: str | None = None) -> Report:
     """A study of turn-over in `folder`: begun, gone on with, or read."""
     if not (folder / "request.json").exists():
-        begin_study(load("turn-over"), Request(runs, SEED, (), controller), folder, direction=direction)
+        asked = Request(runs, SEED, (), controller)
+        begin_study(prepare_study(load("turn-over"), asked, direction=direction), asked, folder)
     _, asked = asked_in(folder)
     if asked.runs != runs:
         raise GelbotError(f"{folder} holds a study of {asked.runs} runs. Try: another --out, or remove it")

@@ -205,8 +205,10 @@ def field(
 @app.command()
 def study(
     scenario: Annotated[str | None, typer.Argument(help="A built-in scenario or a scenario file.")] = None,
-    runs: Annotated[int, typer.Option("-n", "--runs", help="How many runs.")] = 100,
-    seed: Annotated[int, typer.Option(help="The same seed gives the same robots, whatever the controller.")] = 1,
+    runs: Annotated[int | None, typer.Option("-n", "--runs", help="How many runs. (default: 100)")] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="The same seed gives the same robots, whatever the controller. (default: 1)")
+    ] = None,
     vary: Annotated[
         list[str] | None,
         typer.Option(
@@ -217,7 +219,9 @@ def study(
     ] = None,
     controller: Annotated[
         list[str] | None,
-        typer.Option(help="template, servo or planned; several are compared on the same robots. (default: servo)"),
+        typer.Option(
+            help="template, servo, planned or predictive; several are compared on the same robots. (default: servo)"
+        ),
     ] = None,
     programme: Annotated[Path | None, typer.Option(help="The programme file of --controller planned.")] = None,
     direction: Annotated[
@@ -246,11 +250,19 @@ def study(
 
             loaded = load(scenario, changes or [])
             folder = _folder(out, "studies", loaded.scenario.name)
-            drivers = tuple(controller or ("servo" if direction is None else "planned",))
-            asked = Asked(loaded, runs, seed, tuple(vary or ()), drivers, programme, direction)
+            asked = Asked(
+                loaded,
+                100 if runs is None else runs,
+                1 if seed is None else seed,
+                tuple(vary or ()),
+                tuple(controller or ("servo" if direction is None else "planned",)),
+                programme,
+                direction,
+            )
         else:
             asked = None
-            if scenario is not None or changes or vary or controller or programme or direction or out:
+            given = (scenario, runs, seed, changes or None, vary or None, controller or None, programme, direction, out)
+            if any(one is not None for one in given):
                 raise BadInput("--resume", str(resume), "alone: what was asked for stands in the folder")
         try:
             made = conduct(folder, asked, scheduler, progress=not as_json)

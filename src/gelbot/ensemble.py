@@ -134,13 +134,14 @@ _made: dict[str, _Ready] = {}
 
 def _ready(loaded: Loaded) -> _Ready:
     """Made with the first robot, once in each process: what is wrong with it is then said as that robot's error."""
-    if loaded.text not in _made:
+    ready = _made.get(loaded.text)
+    if ready is None:
         prepare_engine()
         keep_compiled()
         ready = _Ready(tomllib.loads(loaded.text), build(loaded.scenario), {})
         _made.clear()
         _made[loaded.text] = ready
-    return _made[loaded.text]
+    return ready
 
 
 def scenario_of(loaded: Loaded, robot: Changes) -> Scenario:
@@ -151,7 +152,10 @@ def scenario_of(loaded: Loaded, robot: Changes) -> Scenario:
 def _changed(data: dict[str, Any], scenario: Scenario, robot: Changes) -> dict[str, Any]:
     data = deepcopy(data)
     for key, value in {"programme.place": [f"{x!r} m" for x in scenario.place], **robot}.items():
-        put(data, key.split("."), deepcopy(value))
+        try:
+            put(data, key.split("."), deepcopy(value))
+        except BadInput as error:
+            raise BadInput("changed key", key, error.allowed) from error
     return data
 
 

@@ -136,15 +136,16 @@ def _told(
     chosen: list[Any],
     missed: list[Floats],
 ) -> Reached:
+    for number, (goal, value, began) in enumerate(zip(goals, values, chosen, strict=True), 1):
+        if began[-1] < 0:
+            broke_off = not np.isfinite(value[-1])
+            reason = f"goal {number} ({worded(goal)}) " + ("not met: broke off" if broke_off else "needs a longer run")
+            return Reached(False, (), float("inf"), reason, float("nan"))
     at, begins = len(time), []
     for began in reversed(chosen):
         begins.append(int(began[at]))
-        at = max(begins[-1], 0)
+        at = begins[-1]
     begins.reverse()
-    if min(begins) < 0:
-        first = begins.index(-1)
-        reason = f"goal {first + 1} ({worded(goals[first])}) needs a longer run"
-        return Reached(False, (), float("inf"), reason, float("nan"))
     shortfall = float(best[-1])
     for index, (goal, begin, miss) in enumerate(zip(goals, begins, missed, strict=True)):
         if miss[begin] > 0.0:

@@ -31,8 +31,10 @@ def wrapped(run: xr.Dataset, scenario: Scenario) -> NDArray[np.float64]:
     along = np.linalg.svd(flat, full_matrices=False)[0][:, 0] @ flat
     slices = max(2, round(float(np.ptp(along)) / scenario.body.mesh_size))
     place = np.minimum(((along - along.min()) / np.ptp(along) * slices).astype(int), slices - 1)
-    weights = np.eye(slices)[place]
-    middles = (x - np.array(rod.position)[:, None]) @ (weights / np.maximum(weights.sum(axis=0), 1.0))
+    # Slices without nodes are left out.
+    _, place = np.unique(place, return_inverse=True)
+    weights = np.eye(place.max() + 1)[place]
+    middles = (x - np.array(rod.position)[:, None]) @ (weights / weights.sum(axis=0))
     e1 = np.cross(axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.9 else [0.0, 1.0, 0.0])
     e1 /= np.linalg.norm(e1)
     u, v = (np.einsum("tis,i->ts", middles, e) for e in (e1, np.cross(axis, e1)))

@@ -25,7 +25,7 @@ from gelbot.scenario.load import Loaded, load
 from gelbot.scenario.overrides import with_changes
 from gelbot.scenario.ranges import spread
 from gelbot.show.plan_search import draw_search
-from gelbot.study.scatter import draw, spreads
+from gelbot.study.scatter import checked_spreads, draw, spreads
 from gelbot.study.statistics import clopper_pearson, mean_of
 
 ASKED, SCENARIO, GENERATIONS = "asked.json", "scenario.toml", "generations"
@@ -124,7 +124,7 @@ def _search(loaded: Loaded, asked: Asked) -> Search:
     if not choices:
         allowed = "a table [search] in the scenario, or --choose KEY=RANGE: what may be chosen"
         raise BadInput(f"{loaded.source}: search", "nothing", allowed, "gelbot show turn-over")
-    scattered = spreads(loaded, asked.vary)
+    scattered = checked_spreads(loaded, asked.vary)
     robots = tuple({} if k == 0 else draw(scattered, asked.seed, k) for k in range(asked.robots))
     return Search(loaded, choices, robots, asked.seed, asked.population)
 

@@ -30,6 +30,7 @@ from gelbot.mechanics.self_contact import ContactSurface, contact_surface
 from gelbot.mechanics.solid import build_solid
 from gelbot.mechanics.springs import build_lattice
 from gelbot.points import essential_points, observe
+from gelbot.scenario.motions import check_tips
 from gelbot.scenario.placement import mounted
 from gelbot.scenario.programme_arrays import build_programme
 from gelbot.scenario.schema import Scenario
@@ -108,13 +109,13 @@ def build(scenario: Scenario, base: Experiment | None = None) -> Experiment:
     else:
         lead, error = kept.table.model.lead, kept.table.table_error
         lead = lead._replace(conductivity=jnp.asarray(scenario.solution.conductivity))
+    check_tips(scenario.motion, len(body.tips))
     points = essential_points(body) if kept.body is None else kept.body.model.points
     model = Model(build_gel(scenario, body), mechanics, lead, points)
     model, positions = cast(model), cast(positions)
     state = start(model, positions)
-    same = kept.table is not None and kept.table.scenario.supply == scenario.supply
-    if kept.table is not None and same and kept.table.scenario.programme == scenario.programme:
-        programme = kept.table.programme
+    if kept.programme is not None:
+        programme = kept.programme.programme
     else:
         programme = cast(build_programme(scenario, field, connected, len(body.tips)))
     return Experiment(scenario, body, array, field, connected, error, model, state, programme)
@@ -126,11 +127,12 @@ class _Kept(NamedTuple):
     body: Experiment | None
     field: Experiment | None
     table: Experiment | None
+    programme: Experiment | None
 
 
 def _kept(scenario: Scenario, base: Experiment | None) -> _Kept:
     if base is None or base.scenario.simulation.precision != scenario.simulation.precision:
-        return _Kept(None, None, None)
+        return _Kept(None, None, None, None)
     old = base.scenario
 
     def sheet(s: Scenario) -> object:
@@ -142,9 +144,13 @@ def _kept(scenario: Scenario, base: Experiment | None) -> _Kept:
     def box(s: Scenario) -> object:
         return s.place, s.body.pose.lift, s.simulation.field_spacing
 
+    def played(s: Scenario) -> object:
+        return s.supply, s.programme.model_copy(update={"place": s.place})
+
     body = base if sheet(old) == sheet(scenario) else None
     field = base if tank(old) == tank(scenario) else None
-    return _Kept(body, field, base if body and field and box(old) == box(scenario) else None)
+    table = base if body and field and box(old) == box(scenario) else None
+    return _Kept(body, field, table, base if table and played(old) == played(scenario) else None)
 
 
 def build_mesh(scenario: Scenario) -> Body:

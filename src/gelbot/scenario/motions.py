@@ -57,7 +57,9 @@ class Goal(Table):
 
 def _bound(given: object, unit: str, key: str) -> float:
     if not unit:
-        return Number().parse(given)
+        if isinstance(given, bool) or not isinstance(given, int | float) or not Number().hold(given):
+            raise wrong(key, given, Number().allowed)
+        return float(given)
     try:
         return quantity(given, unit, "")
     except BadInput as error:
@@ -87,3 +89,12 @@ class Motion(Table):
             if goal.to_the_end and index < len(self.goals) - 1:
                 raise wrong(f"goals.{index}.to_the_end", True, "only for the last goal")
         return self
+
+
+def check_tips(motion: Motion | None, tips: int) -> None:
+    """The goals of `motion` are about points that a body of so many `tips` has. Raises `BadInput`."""
+    for index, goal in enumerate(() if motion is None else motion.goals):
+        if goal.point > tips or (goal.quantity == "tip_angle" and not tips):
+            given = f"tip {goal.point}" if goal.point else goal.quantity
+            allowed = f"one of the body's {tips} tips" if tips else "the centre: the body has no tips"
+            raise BadInput(f"motion.goals.{index}.{'point' if goal.point else 'quantity'}", given, allowed)

@@ -110,9 +110,12 @@ def check_form(text: object, where: str) -> str:
         if len(choices) > 1 and all(choices):
             return text
         between = BETWEEN.fullmatch(text)
-        if between is not None and math.isfinite(float(between[1])) and float(between[3]) != float(between[1]):
-            return text
-        if between is None and ABOUT.fullmatch(text) is not None:
+        about = ABOUT.fullmatch(text)
+        if between is not None:
+            low, high = float(between[1]), float(between[3])
+            if math.isfinite(low) and math.isfinite(high) and low != high:
+                return text
+        elif about is not None and math.isfinite(float(about[2])):
             return text
     raise BadInput(where, text, f"a range of values: {FORMS}")
 
@@ -127,16 +130,22 @@ class ScatterField(Checked):
     def parse(self, given: object) -> dict[str, str]:
         if not isinstance(given, dict):
             raise wrong("", given, self.allowed)
-        flat: dict[str, str] = {}
-        for key, value in given.items():
-            if isinstance(value, dict):
-                flat |= {f"{key}.{below}": text for below, text in self.parse(value).items()}
-                continue
-            try:
-                flat[key] = check_form(value, key)
-            except BadInput as error:
-                raise wrong(error.where, error.given, error.allowed) from error
-        return flat
+        return _flat(given)
+
+
+def _flat(table: dict[str, Any], above: str = "") -> dict[str, str]:
+    """The ranges of a table and those below it, by their dotted keys."""
+    flat: dict[str, str] = {}
+    for name, value in table.items():
+        key = above + name
+        if isinstance(value, dict):
+            flat |= _flat(value, f"{key}.")
+            continue
+        try:
+            flat[key] = check_form(value, key)
+        except BadInput as error:
+            raise wrong(error.where, error.given, error.allowed) from error
+    return flat
 
 
 Scatter = Annotated[dict[str, str], ScatterField()]
@@ -146,7 +155,7 @@ def _at(data: Any, key: str) -> Any:
     for part in key.split("."):
         if isinstance(data, Mapping) and part in data:
             data = data[part]
-        elif isinstance(data, list) and part.isdigit() and int(part) < len(data):
+        elif isinstance(data, list) and part.isascii() and part.isdigit() and int(part) < len(data):
             data = data[int(part)]
         else:
             return NOTHING

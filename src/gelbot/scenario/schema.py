@@ -12,9 +12,9 @@ from pydantic import Field, model_validator
 
 from gelbot.scenario.bodies import Body
 from gelbot.scenario.electrodes import Electrodes
-from gelbot.scenario.fields import Table, check_multiple
+from gelbot.scenario.fields import Table, check_multiple, wrong
 from gelbot.scenario.motions import Motion
-from gelbot.scenario.obstacle_shapes import AnyObstacle
+from gelbot.scenario.obstacle_shapes import AnyObstacle, CylinderObstacle
 from gelbot.scenario.placement import check_gel_is_clear, check_reach, check_tank, check_voltages
 from gelbot.scenario.programmes import Programme
 from gelbot.scenario.ranges import Scatter
@@ -52,8 +52,16 @@ class Scenario(Table):
         check_multiple("recording.interval", interval, "programme.control_period", period)
         check_multiple("recording.chunk", self.recording.chunk, "recording.interval", interval)
         check_multiple("simulation.duration", self.simulation.duration, "recording.interval", interval)
+        self._check_wrap()
         check_tank(self.electrodes, self.tank)
         check_gel_is_clear(self.body, self.electrodes)
         check_reach(self.body, self.electrodes, self.tank)
         check_voltages(self.programme, self.electrodes, self.supply)
         return self
+
+    def _check_wrap(self) -> None:
+        has_rod = any(isinstance(obstacle, CylinderObstacle) for obstacle in self.obstacles)
+        for index, goal in enumerate(() if self.motion is None else self.motion.goals):
+            if goal.quantity == "wrap" and not has_rod:
+                allowed = "a quantity of the body alone, or a cylinder among the obstacles, round which it may lie"
+                raise wrong(f"motion.goals.{index}.quantity", "wrap", allowed)

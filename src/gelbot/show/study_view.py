@@ -20,8 +20,6 @@ HISTOGRAMS = (
     ("peak_voltage_V", "peak voltage [V]"),
     ("charge_C", "charge [C]"),
 )
-SCATTERED_MOST = 5
-"""So many of the scattered values are drawn against the outcome."""
 
 
 def draw_study(study: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], path: Path) -> Path:

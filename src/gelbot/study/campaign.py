@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor
+from concurrent.futures import CancelledError, Executor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,11 +19,14 @@ from gelbot.record.whole_file import write_text
 from gelbot.scenario.load import Loaded, load
 from gelbot.study.batches import Task, batches, rows_of, run_batches
 from gelbot.study.report import Report, report, write_report
-from gelbot.study.scatter import spreads
+from gelbot.study.scatter import checked_spreads, draw
 
 REQUEST, SCENARIO = "request.json", "scenario.toml"
 BATCH = 10
 """Runs of a batch: some seconds, which is what a kill can lose."""
+
+PATIENCE = "10s"
+"""So long a scheduler may take to answer."""
 
 OnRows = Callable[[list[dict[str, Any]]], None]
 """Is told the rows of each batch that is done."""
@@ -38,10 +42,10 @@ class Request(NamedTuple):
     batch: int = BATCH
 
 
-def begin_study(
-    loaded: Loaded, request: Request, folder: Path, programme: Path | None = None, direction: str | None = None
-) -> None:
-    """Write request and scenario into `folder`, from where the study can go on. Raises `BadInput` before that."""
+def prepare_study(
+    loaded: Loaded, request: Request, programme: Path | None = None, direction: str | None = None
+) -> Loaded:
+    """The scenario of a study, with the programme of its controller. Raises `BadInput` for one that cannot be done."""
     if request.runs < 1:
         raise BadInput("-n", request.runs, "1 run or more")
     if request.batch < 1:
@@ -49,11 +53,17 @@ def begin_study(
     if loaded.scenario.motion is None:
         allowed = "a table [motion] that says what shall happen: a study counts how often it does"
         raise BadInput(f"{loaded.source}: motion", "nothing", allowed, "gelbot show turn-over")
-    spreads(loaded, request.vary)
+    draw(checked_spreads(loaded, request.vary), request.seed, 0)
     prepared = with_controller(loaded, request.controller, programme, direction)
+    checked_spreads(prepared, request.vary)
+    return prepared
+
+
+def begin_study(prepared: Loaded, request: Request, folder: Path) -> None:
+    """Write request and scenario into `folder`, from where the study can go on."""
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / SCENARIO, prepared.text)
-    asked = {**request._asdict(), "source": loaded.source, "gelbot": __version__}
+    asked = {**request._asdict(), "source": prepared.source, "gelbot": __version__}
     write_text(folder / REQUEST, json.dumps(asked, indent=2) + "\n")
 
 
@@ -63,6 +73,8 @@ def asked_in(folder: Path) -> tuple[Loaded, Request]:
         asked = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise BadInput("--resume", str(folder), "the folder of a study (request.json)") from error
+    if not isinstance(asked, dict) or not {*Request._fields, "source", "gelbot"} <= asked.keys():
+        raise BadInput("--resume", str(folder), "the folder of a study of one controller (request.json)")
     if asked["gelbot"] != __version__:
         allowed = f"a study of gelbot {__version__}: with another one its runs would not be alike"
         raise BadInput("--resume", f"{folder}, begun with gelbot {asked['gelbot']}", allowed)
@@ -108,14 +120,22 @@ def _pool(executor: Executor | None, most: int) -> Iterator[Executor]:
 def cluster(address: str) -> Iterator[Executor]:
     """The workers of a dask.distributed scheduler at `address`, where gelbot is installed too. Raises `GelbotError`."""
     try:
-        from distributed import Client
+        from distributed import Client, KilledWorker
+        from distributed.comm import get_address_host_port
     except ImportError as error:
         raise GelbotError("--scheduler needs dask.distributed. Try: pip install 'gelbot[cluster]'") from error
+    # That it lost its scheduler is said below.
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     try:
-        client = Client(address, timeout="10s", set_as_default=False)
+        get_address_host_port(address, strict=True)
+        client = Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
         raise BadInput(
             "--scheduler", address, f"the address of a running scheduler, such as tcp://host:8786 ({error})"
         ) from error
     with client:
-        yield client.get_executor()
+        try:
+            yield client.get_executor()
+        except (KilledWorker, CancelledError) as error:
+            lost = "lost worker after worker" if isinstance(error, KilledWorker) else "is gone"
+            raise GelbotError(f"the cluster at {address} {lost}. gelbot study --resume DIR goes on") from error

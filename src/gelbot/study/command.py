@@ -15,7 +15,7 @@ from gelbot.errors import BadInput
 from gelbot.record.whole_file import write_text
 from gelbot.scenario.load import Loaded
 from gelbot.show.study_table import print_comparison, print_study
-from gelbot.study.campaign import REQUEST, Request, begin_study, cluster, run_study
+from gelbot.study.campaign import REQUEST, Request, asked_in, begin_study, cluster, prepare_study, run_study
 from gelbot.study.compare import compare
 from gelbot.study.report import Report
 
@@ -40,13 +40,12 @@ def conduct(folder: Path, asked: Asked | None, scheduler: str | None, progress: 
     One controller has the folder to itself. Several have a folder each in it, and what sets them apart is written to
     comparison.json.
     """
-    if asked is not None:
-        _begin(folder, asked)
-    parts = [folder] if (folder / REQUEST).exists() and not _parts(folder) else _parts(folder)
-    if not parts:
-        raise BadInput("--resume", str(folder), "the folder of a study (request.json)")
+    if asked is None:
+        _parts(folder)
     with nullcontext() if scheduler is None else cluster(scheduler) as executor:
-        made = [_run(part, executor, progress) for part in parts]
+        if asked is not None:
+            _begin(folder, asked)
+        made = [_run(part, executor, progress) for part in _parts(folder)]
     if len(made) == 1:
         if progress:
             print_study(made[0].study)
@@ -65,21 +64,28 @@ def _begin(folder: Path, asked: Asked) -> None:
     for controller in asked.controllers:
         if controller not in CONTROLLERS:
             raise BadInput("--controller", controller, "one of " + ", ".join(CONTROLLERS))
-    for controller in asked.controllers:
-        request = Request(asked.runs, asked.seed, asked.vary, controller)
-        begin_study(asked.loaded, request, folder / controller if several else folder, asked.programme, asked.direction)
+    requests = [Request(asked.runs, asked.seed, asked.vary, controller) for controller in asked.controllers]
+    prepared = [prepare_study(asked.loaded, request, asked.programme, asked.direction) for request in requests]
+    for loaded, request in zip(prepared, requests, strict=True):
+        begin_study(loaded, request, folder / request.controller if several else folder)
     if several:
         write_text(folder / REQUEST, json.dumps({"controllers": asked.controllers}, indent=2) + "\n")
 
 
 def _parts(folder: Path) -> list[Path]:
-    return [folder / name for name in CONTROLLERS if (folder / name / REQUEST).exists()]
+    """The folder of each controller's study: the folder itself where there is one."""
+    try:
+        asked = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise BadInput("--resume", str(folder), "the folder of a study (request.json)") from error
+    several = asked.get("controllers") if isinstance(asked, dict) else None
+    return [folder / name for name in several] if several else [folder]
 
 
 def _run(folder: Path, executor: Any, progress: bool) -> Report:
     """One controller's study, with a bar that says how many have worked so far."""
     console = Console(stderr=True)
-    asked = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
+    _, asked = asked_in(folder)
     bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(bar_width=28),
@@ -90,7 +96,7 @@ def _run(folder: Path, executor: Any, progress: bool) -> Report:
         disable=not (progress and console.is_terminal),
     )
     with bar:
-        task = bar.add_task(asked.get("controller", ""), total=asked.get("runs", 0), met=0)
+        task = bar.add_task(asked.controller, total=asked.runs, met=0)
         met = 0
 
         def tell(rows: list[dict[str, Any]]) -> None:

@@ -24,7 +24,7 @@ def clopper_pearson(successes: int, count: int, confidence: float = CONFIDENCE) 
     """The rate of `successes` among `count` runs, with its exact interval (Clopper and Pearson 1934).
 
     low and high are the rates p with  P(X >= successes | p) = P(X <= successes | p) = (1 - confidence) / 2,  of a
-    binomial X; they are quantiles of beta distributions. 5 of 5 allow 0.48; 299 of 299 are needed to claim 0.99.
+    binomial X; they are quantiles of beta distributions. 5 of 5 allow 0.48; 299 of 299 allow 0.988.
     """
     tail = (1.0 - confidence) / 2.0
     low = 0.0 if successes == 0 else float(beta.ppf(tail, successes, count - successes + 1))
