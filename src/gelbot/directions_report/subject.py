@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from gelbot.body.outline import Outline, outline_from_points, outline_from_svg
@@ -71,8 +72,8 @@ def _thinned(outline: Outline) -> Outline:
     """The outline of a pen that wrote down every step, without the points that lie on a line but for `STRAIGHT`."""
     if len(outline.points) <= MANY:
         return outline
-    ring = outline.polygon.simplify(STRAIGHT * outline.reach).exterior
-    return outline_from_points(np.asarray(ring.coords), "outline")
+    kept = outline.polygon.simplify(STRAIGHT * outline.reach)
+    return outline_from_points(shapely.get_coordinates(kept), "outline")
 
 
 def checked_tolerance(tolerance: float) -> float:
