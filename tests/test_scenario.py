@@ -369,11 +369,11 @@ class TestProgrammeAsArrays:
 
     def test_conditions_are_bounds_of_what_is_measured(self) -> None:
         lows, highs = np.full((4, 8), -np.inf), np.full((4, 8), np.inf)
-        lows[UP, [ANGLE, HEIGHTS]] = np.pi / 4.0, 3e-3
-        highs[KEEP, [NORMAL, HEIGHTS]] = 0.5, 1e-3
+        lows[UP, np.array([ANGLE, HEIGHTS])] = np.pi / 4.0, 3e-3
+        highs[KEEP, np.array([NORMAL, HEIGHTS])] = 0.5, 1e-3
         lows[KEEP, NORMAL] = -0.5
         # On the floor is what is no higher than the body is thick.
-        highs[REST, [HEIGHTS, HEIGHTS + 2]] = 1e-3
+        highs[REST, np.array([HEIGHTS, HEIGHTS + 2])] = 1e-3
         lows[REST, HEIGHTS + 1] = 1e-3
         np.testing.assert_allclose(self.phases.lows, lows)
         np.testing.assert_allclose(self.phases.highs, highs)
