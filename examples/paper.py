@@ -1,6 +1,6 @@
 """The paper's results beside gelbot's, each from a study of many runs: a table in Markdown.
 
-    .venv/bin/python examples/paper.py                 # 300 robots with each controller: about half an hour on two cores
+    .venv/bin/python examples/paper.py                 # 300 robots with each controller: half an hour on two cores
     .venv/bin/python examples/paper.py -n 20           # a quick look
     .venv/bin/python examples/paper.py --directions    # also all ten directions, 100 robots each
 

@@ -121,7 +121,7 @@ def cluster(address: str) -> Iterator[Executor]:
     """The workers of a dask.distributed scheduler at `address`, where gelbot is installed too. Raises `GelbotError`."""
     try:
         from distributed import Client, KilledWorker
-        from distributed.comm import get_address_host_port
+        from distributed.comm.addressing import get_address_host_port
     except ImportError as error:
         raise GelbotError("--scheduler needs dask.distributed. Try: pip install 'gelbot[cluster]'") from error
     # That it lost its scheduler is said below.
