@@ -34,7 +34,7 @@ paper: $(VENV)/gelbot.stamp ## the paper's table beside gelbot's, 300 robots eac
 
 clean: ## remove the environment and all caches; runs/ stays
 	rm -rf $(VENV) build dist .pytest_cache .ruff_cache .hypothesis .import_linter_cache src/*.egg-info
-	find src tests tools benchmarks -name __pycache__ -prune -exec rm -rf {} +
+	find src tests tools examples benchmarks -name __pycache__ -prune -exec rm -rf {} +
 
 $(BIN)/python:
 	@command -v $(PYTHON) >/dev/null || { echo "gelbot: there is no $(PYTHON) here; gelbot needs Python 3.11 or newer" >&2; exit 1; }

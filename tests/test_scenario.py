@@ -347,7 +347,7 @@ programme.phases=[
 """.replace("\n", " ")
     % [0.125 * k - 1.0 for k in range(16)]
 )
-UP, KEEP, REST, DOWN = range(4)
+UP, KEEP, LAST, DOWN = 0, 1, 2, 3
 
 
 def as_set(toml: str) -> str:
@@ -369,20 +369,20 @@ class TestProgrammeAsArrays:
 
     def test_conditions_are_bounds_of_what_is_measured(self) -> None:
         lows, highs = np.full((4, 8), -np.inf), np.full((4, 8), np.inf)
-        lows[UP, np.array([ANGLE, HEIGHTS])] = np.pi / 4.0, 3e-3
-        highs[KEEP, np.array([NORMAL, HEIGHTS])] = 0.5, 1e-3
+        lows[UP, ANGLE], lows[UP, HEIGHTS] = np.pi / 4.0, 3e-3
+        highs[KEEP, NORMAL], highs[KEEP, HEIGHTS] = 0.5, 1e-3
         lows[KEEP, NORMAL] = -0.5
         # On the floor is what is no higher than the body is thick.
-        highs[REST, np.array([HEIGHTS, HEIGHTS + 2])] = 1e-3
-        lows[REST, HEIGHTS + 1] = 1e-3
+        highs[LAST, HEIGHTS] = highs[LAST, HEIGHTS + 2] = 1e-3
+        lows[LAST, HEIGHTS + 1] = 1e-3
         np.testing.assert_allclose(self.phases.lows, lows)
         np.testing.assert_allclose(self.phases.highs, highs)
 
     def test_events_and_times_lead_to_phases(self) -> None:
         assert np.asarray(self.phases.conditional).tolist() == [True, True, True, False]
         assert np.asarray(self.phases.durations).tolist() == [4.0, 7.0, np.inf, 9.0]
-        assert np.asarray(self.phases.after_event).tolist() == [DOWN, REST, KEEP, DOWN]
-        assert np.asarray(self.phases.after_time).tolist() == [REST, UP, DOWN, DOWN]
+        assert np.asarray(self.phases.after_event).tolist() == [DOWN, LAST, KEEP, DOWN]
+        assert np.asarray(self.phases.after_time).tolist() == [LAST, UP, DOWN, DOWN]
 
     def test_patterns_are_written_or_superposed(self) -> None:
         scenario = load("turn-over", [as_set(PROGRAMME), "electrodes.panels=4", "electrodes.grounded=[15]"]).scenario
@@ -393,7 +393,7 @@ class TestProgrammeAsArrays:
         mixed = 0.5 * template("ridge", array, home) - 0.25 * template("uniform", array, home)
         assert patterns[UP] == pytest.approx(np.clip(mixed, -1.0, 1.0) * driven)
         assert patterns[KEEP] == pytest.approx(template("crossed-ridge", array, home) * driven)
-        assert not patterns[REST].any()
+        assert not patterns[LAST].any()
         assert patterns[DOWN] == pytest.approx((0.125 * np.arange(16) - 1.0) * driven)
 
     def test_the_place_picks_the_robot_s_electrode(self) -> None:

@@ -571,6 +571,7 @@ class TestCommand:
             ["--seed", "2"],
             ["--vary", "a=1 | 2"],
             ["--set", "a=1"],
+            ["--direction", "9 deg"],
             ["--controller", "servo"],
             ["--out", "x"],
         ],

@@ -46,7 +46,7 @@ def count(*folders: str, name: str = "*.py") -> int:
     return max(1, sum(len(list((ROOT / folder).rglob(name))) for folder in folders))
 
 
-FOLDERS = ("src", "tests", "tools", "benchmarks")
+FOLDERS = ("src", "tests", "tools", "examples", "benchmarks")
 ALL_FILES = Seen(r"\.py$", count(*FOLDERS), "files")
 # Half of the files each, for what a file compiles serves all of it; who is done first takes over from the other.
 TWO_CORES = "pytest -n 2 --dist worksteal"
