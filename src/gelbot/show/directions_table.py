@@ -76,4 +76,4 @@ def _fate(carried: Mapping[str, Any]) -> str:
     if how == "operation":
         missed = f" (the body misses by {carried['miss']:.1%})" if carried["miss"] else ""
         return f"yes, {carried['by']}{missed}"
-    return f"with {carried['by']}" if how == "heading" else "no, solve anew"
+    return f"with {carried['by']}" if how == "heading" else "no, turn the field"
