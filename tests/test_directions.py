@@ -687,7 +687,14 @@ class TestCommand:
     def test_table(self):
         result = runner.invoke(app, ["directions", "turn-over", "--out", "there"], env={"COLUMNS": "160"})
         assert result.exit_code == 0, result.output
-        for part in ("over-one-tip", "1, 3, 4", "turn the field", "heading 153 deg", "reflection at 45 deg", "order 10"):
+        for part in (
+            "over-one-tip",
+            "1, 3, 4",
+            "turn the field",
+            "heading 153 deg",
+            "reflection at 45 deg",
+            "order 10",
+        ):
             assert part in result.stdout
         assert "results in there" in result.stdout
 
