@@ -95,9 +95,11 @@ def test_a_robot_that_is_its_twin_does_what_was_foreseen(nominal: Experiment) ->
 
 @pytest.mark.slow
 def test_a_stronger_robot_is_recognised(nominal: Experiment) -> None:
-    robot = build(load("dome", [*SHORT, "material.p_ele='0.026 cm^2/mA'"]).scenario, nominal)
+    """It adsorbs 1.3 times as fast; the twin has seen as much after some seconds of its rise."""
+    changes = ["material.p_ele='0.026 cm^2/mA'", "simulation.duration='7 s'"]
+    robot = build(load("dome", [*SHORT, *changes]).scenario, nominal)
     last = None
     for _, controller in march_predictive(robot, nominal, {}):
         last = controller
     assert last is not None
-    assert 1.05 < float(last.twin.strength) < 1.6
+    assert 1.15 < float(last.twin.strength) < 1.45

@@ -40,10 +40,10 @@ BETTER = 0.15
 """Another phase begins only when it comes nearer to the goals by so much, in units of `motion.reach.SCALES`."""
 HASTE = 0.02
 """What a second that a goal takes counts against an unit of its shortfall."""
-CORRECTION, LEARNING = 0.08, 0.02
+CORRECTION, LEARNING = 0.1, 0.05
 """Shares of the relative difference in the centre's rise by which, each tick, the twin's adsorption and its p_ele
 are put right."""
-STARTS_AT = 1e-3
+STARTS_AT = 0.3e-3
 """Below this rise [m] the centre says too little about p_ele."""
 UPRIGHT = 0.8
 """While its normal's z is above this, the twin is kept where the robot is seen."""
