@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+from command_line import refused
 from gelbot.cli import app
 from gelbot.errors import BadInput, SimulationFailed
 from gelbot.scenario import built_in_text, load, names
@@ -42,18 +43,6 @@ def replace_run(monkeypatch: pytest.MonkeyPatch, run_scenario: Any) -> None:
     module = types.ModuleType("gelbot.run")
     module.__dict__["run_scenario"] = run_scenario
     monkeypatch.setitem(sys.modules, "gelbot.run", module)
-
-
-def refused(*arguments: str) -> str:
-    """The message of a refused command; it stands alone on the error output, and nothing was written."""
-    before = sorted(Path().rglob("*"))
-    result = runner.invoke(app, list(arguments))
-    assert result.exit_code == 2, result.output
-    assert result.stdout == ""
-    assert result.stderr.startswith("gelbot: ")
-    assert result.stderr.count("\n") == 1
-    assert sorted(Path().rglob("*")) == before
-    return result.stderr
 
 
 def test_scenarios_lists_all():

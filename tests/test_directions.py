@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
+import command_line
 from gelbot.body.lattice import build_body
 from gelbot.body.outline import Outline, outline_from_points, outline_from_svg, starfish, strip
 from gelbot.body.symmetry import (
@@ -628,16 +630,7 @@ def reported(*arguments: str) -> dict[str, Any]:
     return json.loads(result.stdout)
 
 
-def refused(*arguments: str) -> str:
-    """The message of a refused command: one line, and nothing is written."""
-    before = sorted(Path().rglob("*"))
-    result = runner.invoke(app, ["directions", *arguments])
-    assert result.exit_code == 2, result.output
-    assert result.stdout == ""
-    assert result.stderr.startswith("gelbot: ")
-    assert result.stderr.count("\n") == 1
-    assert sorted(Path().rglob("*")) == before
-    return result.stderr
+refused = partial(command_line.refused, "directions")
 
 
 def draw(corners: Any, name: str = "star.svg", head: str = 'viewBox="0 0 100 100"') -> str:

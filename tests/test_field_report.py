@@ -13,6 +13,7 @@
 """
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ import xarray as xr
 from rich.console import Console
 from typer.testing import CliRunner
 
+import command_line
 from gelbot.body.lattice import Body
 from gelbot.cli import app
 from gelbot.errors import BadInput
@@ -94,16 +96,7 @@ def in_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def refused(*arguments: str) -> str:
-    """The message of a refused command; it stands alone on the error output, and nothing was written."""
-    before = sorted(Path().rglob("*"))
-    result = runner.invoke(app, ["field", *arguments])
-    assert result.exit_code == 2, result.output
-    assert result.stdout == ""
-    assert result.stderr.startswith("gelbot: ")
-    assert result.stderr.count("\n") == 1
-    assert sorted(Path().rglob("*")) == before
-    return result.stderr
+refused = partial(command_line.refused, "field")
 
 
 # What field.json says

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -42,6 +42,25 @@ def plain_errors() -> Iterator[None]:
         place = f"{error.filename}: " if error.filename else ""
         typer.echo(f"gelbot: {place}{error.strerror or error}", err=True)
         raise typer.Exit(1) from None
+
+
+@contextmanager
+def stoppable(kept: Callable[[], str] = lambda: "") -> Iterator[None]:
+    """Say after Ctrl-C that it stopped, and what is `kept`, and leave at once.
+
+    All is written. The engine, stopped while it compiles, would crash when the interpreter takes it apart.
+    """
+    try:
+        yield
+    except KeyboardInterrupt:
+        typer.echo(f"gelbot: stopped{kept()}", err=True)
+        sys.stderr.flush()
+        os._exit(STOPPED)
+
+
+def _kept_in(folder: Path, mark: str = "") -> Callable[[], str]:
+    """Where what was computed is kept, when there is something: the file `mark` in `folder`, or the folder itself."""
+    return lambda: f"; what was computed is kept in {folder}" if (folder / mark).exists() else ""
 
 
 def _say_version(wanted: bool) -> None:
@@ -114,18 +133,13 @@ def run(
 
         from gelbot.run import run_scenario
 
-        try:
-            summary = run_scenario(loaded, folder, movie=movie, progress=not as_json)
-        except SimulationFailed:
-            if folder.exists():
-                typer.echo(f"gelbot: what was computed is kept in {folder}", err=True)
-            raise
-        except KeyboardInterrupt:
-            kept = f"; what was computed is kept in {folder}" if folder.exists() else ""
-            typer.echo(f"gelbot: stopped{kept}", err=True)
-            sys.stderr.flush()
-            # All is written. The engine, stopped while it compiles, would crash when the interpreter takes it apart.
-            os._exit(STOPPED)
+        with stoppable(_kept_in(folder)):
+            try:
+                summary = run_scenario(loaded, folder, movie=movie, progress=not as_json)
+            except SimulationFailed:
+                if folder.exists():
+                    typer.echo(f"gelbot: what was computed is kept in {folder}", err=True)
+                raise
     if as_json:
         _print_json(summary)
     else:
@@ -180,17 +194,12 @@ def field(
         loaded = load(scenario, changes or [])
         folder = _folder(out, "fields", loaded.scenario.name)
 
-        try:
+        with stoppable(_kept_in(folder, "field.json")):
             from gelbot.field_report.asked import Request
             from gelbot.field_report.report import report_field
 
             request = Request(voltages, template, amplitude, tuple(planes or ()), points, gel_conductivity, run, time)
             report = report_field(loaded, request, folder, progress=not as_json)
-        except KeyboardInterrupt:
-            kept = f"; what was computed is kept in {folder}" if (folder / "field.json").exists() else ""
-            typer.echo(f"gelbot: stopped{kept}", err=True)
-            sys.stderr.flush()
-            os._exit(STOPPED)
     if as_json:
         from gelbot.record.json_text import as_text
 
@@ -264,12 +273,8 @@ def study(
             given = (scenario, runs, seed, changes or None, vary or None, controller or None, programme, direction, out)
             if any(one is not None for one in given):
                 raise BadInput("--resume", str(resume), "alone: what was asked for stands in the folder")
-        try:
+        with stoppable(lambda: f". gelbot study --resume {folder} goes on"):
             made = conduct(folder, asked, scheduler, progress=not as_json)
-        except KeyboardInterrupt:
-            typer.echo(f"gelbot: stopped. gelbot study --resume {folder} goes on", err=True)
-            sys.stderr.flush()
-            os._exit(STOPPED)
     if as_json:
         _print_json(made)
     else:
@@ -298,12 +303,8 @@ def map_(
 
         loaded = load(scenario, changes or [])
         folder = _folder(out, "maps", loaded.scenario.name)
-        try:
+        with stoppable():
             made = sweep(loaded, Axes(x, y, columns, rows), controller, programme, folder, progress=not as_json)
-        except KeyboardInterrupt:
-            typer.echo("gelbot: stopped", err=True)
-            sys.stderr.flush()
-            os._exit(STOPPED)
     if as_json:
         _print_json(made)
     else:
@@ -369,12 +370,8 @@ def plan(
             loaded = asked = None
             if scenario is not None or changes or vary or choose or programme or out:
                 raise BadInput("--resume", str(resume), "alone: what was asked for stands in the folder")
-        try:
+        with stoppable(lambda: f". gelbot plan --resume {folder} goes on"):
             found = seek(folder, loaded, asked, progress=not as_json)
-        except KeyboardInterrupt:
-            typer.echo(f"gelbot: stopped. gelbot plan --resume {folder} goes on", err=True)
-            sys.stderr.flush()
-            os._exit(STOPPED)
     if as_json:
         _print_json(found)
     else:

@@ -17,7 +17,7 @@ import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from copy import deepcopy
 from multiprocessing import get_context, parent_process
 from threading import Thread
@@ -78,7 +78,7 @@ def march_all(
     if executor is None and wanted <= 1:
         yield from (outcome(loaded, k, robot) for k, robot in enumerate(robots))
         return
-    with workers(wanted) if executor is None else _given(executor) as pool:
+    with workers(wanted) if executor is None else nullcontext(executor) as pool:
         futures = {pool.submit(outcome, loaded, k, robot) for k, robot in enumerate(robots)}
         yield from as_ready(futures)
 
@@ -96,11 +96,6 @@ def _obey() -> None:
     parent = parent_process()
     if parent is not None:
         Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
-
-
-@contextmanager
-def _given(executor: Executor) -> Iterator[Executor]:
-    yield executor
 
 
 def as_ready(futures: set[Future[Any]]) -> Iterator[Any]:
@@ -145,13 +140,18 @@ def _ready(loaded: Loaded) -> _Ready:
 
 
 def scenario_of(loaded: Loaded, robot: Changes) -> Scenario:
-    """The scenario of one robot. The programme is meant for the place of the unchanged one: the robot may be off it."""
+    """The scenario of one robot, which may lie beside the place for which the programme is meant."""
     return checked(_changed(tomllib.loads(loaded.text), loaded.scenario, robot), loaded.source)
+
+
+def in_its_place(scenario: Scenario, robot: Changes) -> dict[str, Any]:
+    """All that sets one robot apart from `scenario`: its programme stays meant for the place of the unchanged one."""
+    return {"programme.place": [f"{x!r} m" for x in scenario.place], **robot}
 
 
 def _changed(data: dict[str, Any], scenario: Scenario, robot: Changes) -> dict[str, Any]:
     data = deepcopy(data)
-    for key, value in {"programme.place": [f"{x!r} m" for x in scenario.place], **robot}.items():
+    for key, value in in_its_place(scenario, robot).items():
         try:
             put(data, key.split("."), deepcopy(value))
         except BadInput as error:

@@ -29,7 +29,7 @@ from gelbot.record.whole_file import write_text
 from gelbot.scenario.build import Experiment, begun, build, disturbed
 from gelbot.scenario.load import Loaded
 from gelbot.show.progress import RunProgress
-from gelbot.simulate import Frame, Model, State, rollout
+from gelbot.simulate import Controller, Frame, Model, State, rollout
 
 RUN, SUMMARY, SCENARIO = "run.zarr", "summary.json", "scenario.toml"
 """What a run folder holds, beside the pictures."""
@@ -97,7 +97,8 @@ def _simulate(experiment: Experiment, store: RunStore, bar: RunProgress, times: 
 
 
 Programs: TypeAlias = dict[Any, Any]
-"""Compiled rollouts by their number of control periods and the shapes of what they take: robots alike share them."""
+"""Compiled rollouts by their controller, their number of control periods and the shapes of what they take: robots alike
+share them."""
 
 
 def first_program(experiment: Experiment, model: Model, times: dict[str, float]) -> Programs:
@@ -142,15 +143,35 @@ def _program(
     count: int,
     times: dict[str, float],
 ) -> Any:
-    """The program for `count` control periods, compiled where it is not yet among the `compiled` ones."""
+    """The program for `count` control periods of the programme; `times` adds up `compile_s` [s]."""
     simulation, period = experiment.scenario.simulation, experiment.scenario.programme.control_period
     steps, (dt, error) = round(period / simulation.time_step), _time_steps(experiment, state)
-    leaves, tree = jax.tree.flatten((model, state, memory, error))
-    key = (count, steps, tree, tuple((leaf.shape, leaf.dtype) for leaf in leaves))
-    if key not in compiled:
-        began = clock.perf_counter()
-        compiled[key] = rollout.lower(model, state, play, memory, dt, count, steps, step_error=error).compile()
+    known, began = len(compiled), clock.perf_counter()
+    program = compiled_rollout(compiled, play, model, state, memory, dt, count, steps, error)
+    if len(compiled) > known:
         times["compile_s"] += clock.perf_counter() - began
+    return program
+
+
+def compiled_rollout(
+    compiled: Programs,
+    controller: Controller,
+    model: Model,
+    state: State,
+    memory: Any,
+    dt: jax.Array,
+    count: int,
+    steps: int,
+    error: jax.Array | None = None,
+) -> Any:
+    """`rollout` for `count` control periods of `steps`, compiled where it is not yet among the `compiled` ones.
+
+    It is called with (model, state, memory, dt, step_error=error).
+    """
+    leaves, tree = jax.tree.flatten((model, state, memory, error))
+    key = (controller, count, steps, tree, tuple((leaf.shape, leaf.dtype) for leaf in leaves))
+    if key not in compiled:
+        compiled[key] = rollout.lower(model, state, controller, memory, dt, count, steps, step_error=error).compile()
     return compiled[key]
 
 

@@ -18,15 +18,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from numpy.typing import NDArray
 
 from gelbot.body.symmetry import rotation
 from gelbot.control.programme import Command, Playing, advance, begin, play
 from gelbot.motion.reach import Seen, misses
 from gelbot.points import Observation, observe
-from gelbot.run import Programs
+from gelbot.run import Programs, compiled_rollout
 from gelbot.scenario.build import Experiment, disturbed
-from gelbot.simulate import Frame, Model, State, rollout, start
+from gelbot.simulate import Controller, Frame, Model, State, start
 
 HORIZON = 9.0
 """How far ahead a phase is tried [s]: about as long as a body takes to topple."""
@@ -47,8 +46,6 @@ STARTS_AT = 0.3e-3
 """Below this rise [m] the centre says too little about p_ele."""
 UPRIGHT = 0.8
 """While its normal's z is above this, the twin is kept where the robot is seen."""
-
-
 ALIKE = 0.9
 """The twin is believed while the cosine between its normal and the robot's is above this."""
 
@@ -104,7 +101,6 @@ class Predictive:
         self.twin = twin_at(experiment, seen)
         self.voltages = jnp.zeros_like(self.programme.phases.patterns[0])
         self.trials: list[Trial] = []
-        self.values: dict[int, float] = {}
         self.settled = False
         self._start = np.concatenate([seen.centre[:2, None], seen.tips[:2]], axis=1)
 
@@ -129,17 +125,13 @@ class Predictive:
 
     def _brought_on(self, twin: Twin) -> Twin:
         """The twin after a period under the voltages that were applied."""
-        model = stronger(twin)
-        state, _, _ = self._rolled("hold", hold, model, twin.state, self.voltages, 1)
+        state, _, _ = self._rolled(hold, twin.state, self.voltages, 1)
         return twin._replace(state=state)
 
-    def _rolled(self, kind: str, controller: Any, model: Model, state: State, memory: Any, periods: int) -> Any:
+    def _rolled(self, controller: Controller, state: State, memory: Any, periods: int) -> Any:
+        """The twin from `state` on under a controller, a step for each control period."""
         dt = jnp.asarray(self.period, state.positions.dtype)
-        key = ("predictive", kind, periods)
-        if key not in self.programs:
-            lowered = rollout.lower(model, state, controller, memory, dt, periods, 1)
-            self.programs[key] = lowered.compile()
-        return self.programs[key](model, state, memory, dt)
+        return _rolled(self.programs, controller, stronger(self.twin), state, memory, dt, periods, 1)
 
     def _plan(self, began: float | None, seen: Observation) -> int | None:
         """Go on with the trials; the phase to begin, or None while there is nothing to choose."""
@@ -164,7 +156,7 @@ class Predictive:
         values = {trial.phase: self._value(trial) for trial in self.trials}
         here = int(self.progress.phase)
         best = min(values, key=lambda phase: values[phase])
-        self.values, self.trials = values, []
+        self.trials = []
         return best if values[best] < values[here] - BETTER else None
 
     def _begin_trials(self) -> None:
@@ -180,8 +172,7 @@ class Predictive:
     def _tried(self, trial: Trial) -> Trial:
         """A piece more of a trial."""
         count = round(PIECE / self.period)
-        model = stronger(self.twin)
-        state, memory, frames = self._rolled("play", play, model, trial.state, trial.memory, count)
+        state, memory, frames = self._rolled(play, trial.state, trial.memory, count)
         return Trial(trial.phase, state, memory, [*trial.seen, frames.observation])
 
     def _value(self, trial: Trial) -> float:
@@ -201,6 +192,21 @@ class Predictive:
 _tick = jax.jit(advance)
 
 
+def _rolled(
+    programs: Programs,
+    controller: Controller,
+    model: Model,
+    state: State,
+    memory: Any,
+    dt: Array,
+    periods: int,
+    steps: int,
+) -> tuple[State, Any, Frame]:
+    """`simulate.rollout`, compiled once for robots alike."""
+    program = compiled_rollout(programs, controller, model, state, memory, dt, periods, steps)
+    return program(model, state, memory, dt, step_error=None)
+
+
 def stronger(twin: Twin) -> Model:
     """The twin's model with its p_ele as learned."""
     gel = twin.model.gel
@@ -209,22 +215,22 @@ def stronger(twin: Twin) -> Model:
 
 def twin_at(experiment: Experiment, seen: Observation) -> Twin:
     """The nominal robot where the real one is seen: moved and turned so that centre and tips come near."""
-    x = np.asarray(experiment.state.positions)
     nominal = observe(experiment.model.points, experiment.state.positions)
-    moved, way = _onto(nominal, seen)
-    centre = np.asarray(nominal.centre)[:2, None]
-    flat = rotation(way) @ (x[:2] - centre) + centre + moved[:, None]
-    positions = jnp.asarray(np.vstack([flat, x[2:]]), x.dtype)
+    positions = _onto(experiment.state.positions, nominal, seen)
     model = disturbed(experiment, experiment.model, positions)
     state = start(model, positions)
-    return Twin(model, state, jnp.ones((), x.dtype), observe(model.points, positions).centre[2])
+    return Twin(model, state, jnp.ones((), positions.dtype), observe(model.points, positions).centre[2])
 
 
-def _onto(own: Observation, seen: Observation) -> tuple[NDArray[np.float64], float]:
-    """Shift [m] (2,) and turn [rad] in the plane that take centre and tips of `own` onto those `seen` (Procrustes)."""
+def _onto(positions: Array, own: Observation, seen: Observation) -> Array:
+    """The node `positions` [m] of what is `own`, moved and turned in the plane so that centre and tips come onto those
+    `seen` (Procrustes)."""
     a, b = (np.asarray(one.tips)[:2] - np.asarray(one.centre)[:2, None] for one in (own, seen))
     way = float(np.arctan2(np.sum(a[0] * b[1] - a[1] * b[0]), np.sum(a * b)))
-    return np.asarray(seen.centre)[:2] - np.asarray(own.centre)[:2], way
+    moved = np.asarray(seen.centre)[:2] - np.asarray(own.centre)[:2]
+    x, centre = np.asarray(positions), np.asarray(own.centre)[:2, None]
+    flat = rotation(way) @ (x[:2] - centre) + centre + moved[:, None]
+    return jnp.asarray(np.vstack([flat, x[2:]]), x.dtype)
 
 
 def believed(twin: Twin, seen: Observation) -> bool:
@@ -243,18 +249,14 @@ def corrected(twin: Twin, seen: Observation) -> Twin:
     own = observe(twin.model.points, state.positions)
     if float(own.normal[2]) < UPRIGHT or float(seen.normal[2]) < UPRIGHT:
         return twin
-    moved, way = _onto(own, seen)
-    x = np.asarray(state.positions)
-    centre = np.asarray(own.centre)[:2, None]
-    flat = rotation(way) @ (x[:2] - centre) + centre + moved[:, None]
     rise, own_rise = float(seen.centre[2] - twin.low), float(own.centre[2] - twin.low)
     ads, strength = state.ads, twin.strength
     if rise > STARTS_AT and own_rise > STARTS_AT:
         error = float(np.clip(rise / own_rise - 1.0, -0.5, 0.5))
         ads = jnp.clip(ads * (1.0 + CORRECTION * error), 0.0, 1.0)
         strength = jnp.clip(strength * (1.0 + LEARNING * error), 0.5, 2.0)
-    state = state._replace(positions=jnp.asarray(np.vstack([flat, x[2:]]), x.dtype), ads=ads)
-    return twin._replace(state=state, strength=strength.astype(x.dtype))
+    state = state._replace(positions=_onto(state.positions, own, seen), ads=ads)
+    return twin._replace(state=state, strength=strength.astype(state.positions.dtype))
 
 
 def march_predictive(
@@ -275,12 +277,9 @@ def march_predictive(
     model = disturbed(experiment, experiment.model, state.positions)
     seen = observe(model.points, state.positions)
     controller = Predictive(nominal, programs, seen, work, clock)
-    key = ("predictive", "plant", steps)
     for _ in range(count):
         voltages, command = controller.tick(state.time, seen)
-        if key not in programs:
-            programs[key] = rollout.lower(model, state, hold, voltages, dt, 1, steps).compile()
-        state, _, frames = programs[key](model, state, voltages, dt)
+        state, _, frames = _rolled(programs, hold, model, state, voltages, dt, 1, steps)
         frame = jax.tree.map(lambda values: values[0], frames)
         seen = frame.observation
         yield frame._replace(command=command), controller

@@ -8,7 +8,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from gelbot.errors import BadInput
 from gelbot.motion.wrap import wrapped
+from gelbot.scenario.load import Loaded
 from gelbot.scenario.motions import UNITS, Goal
 from gelbot.scenario.schema import Scenario
 from gelbot.units import shown
@@ -17,6 +19,13 @@ Floats = NDArray[np.float64]
 
 SCALES = {"m": 1e-3, "rad": np.radians(30.0), "": 0.5}
 """Shortfalls of different units are added up: this much of each counts as one."""
+
+
+def check_has_motion(loaded: Loaded, use: str = "") -> None:
+    """Raise `BadInput` for a scenario that does not say what shall happen; `use` says what that is needed for."""
+    if loaded.scenario.motion is None:
+        allowed = f"a table [motion] that says what shall happen{use}"
+        raise BadInput(f"{loaded.source}: motion", "nothing", allowed, "gelbot show turn-over")
 
 
 class Reached(NamedTuple):
@@ -68,9 +77,7 @@ def quantity_of(goal: Goal, seen: Seen, scenario: Scenario, start: Floats) -> Fl
     if goal.quantity == "height":
         return place[:, 2]
     assert scenario.motion is not None
-    assert scenario.motion.direction is not None  # checked by the table
-    angle = scenario.motion.direction + (np.pi / 2.0 if goal.quantity == "across" else 0.0)
-    return (place[:, :2] - start[:, goal.point]) @ np.array([np.cos(angle), np.sin(angle)])
+    return (place[:, :2] - start[:, goal.point]) @ scenario.motion.way(goal)
 
 
 def misses(scenario: Scenario, seen: Seen, start: Floats) -> list[Floats]:

@@ -38,9 +38,7 @@ def impossible(loaded: Loaded) -> str:
         if goal.quantity == "normal" and (least > 1.0 or (goal.at_most is not None and goal.at_most < -1.0)):
             return f"{said}: a unit vector's z is between -1 and 1"
         if goal.quantity in ("along", "across"):
-            assert scenario.motion.direction is not None  # checked by the table
-            angle = scenario.motion.direction + (np.pi / 2.0 if goal.quantity == "across" else 0.0)
-            way = np.array([np.cos(angle), np.sin(angle)])
+            way = scenario.motion.way(goal)
             most = -np.inf if goal.at_most is None else goal.at_most
             for distance in (least if np.isfinite(least) else 0.0, most if np.isfinite(most) and most < 0.0 else 0.0):
                 place = np.array(scenario.body.pose.position) + distance * way

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, get_args
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from gelbot.errors import NOTHING, BadInput
@@ -80,6 +82,12 @@ class Motion(Table):
     direction: Angle | None = None
     goals: Annotated[tuple[Goal, ...], Field(min_length=1)]
     costs: Costs = Costs()
+
+    def way(self, goal: Goal) -> NDArray[np.float64]:
+        """The unit vector (2,) in the plane along which a `goal` along or across counts."""
+        assert self.direction is not None  # checked by `_has_a_direction`
+        angle = self.direction + (np.pi / 2.0 if goal.quantity == "across" else 0.0)
+        return np.array([np.cos(angle), np.sin(angle)])
 
     @model_validator(mode="after")
     def _has_a_direction(self) -> Motion:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -101,6 +101,30 @@ def spread(key: str, text: str, data: Mapping[str, Any], where: str = "") -> Spr
         raise BadInput(where or key, text, "a range about a value, and the scenario has none there", "LOW .. HIGH")
     made.value(np.full(made.size, 0.5))  # says what does not fit together
     return made
+
+
+def named(given: str) -> tuple[str, str] | None:
+    """Key and range of an option written KEY=RANGE, the range perhaps in quotes; None where it has no key."""
+    key, equals, text = given.partition("=")
+    return (key.strip(), text.strip().strip("\"'")) if equals and key.strip() else None
+
+
+def overridden(
+    own: Mapping[str, str], where: str, option: str, given: Sequence[str], example: str
+) -> dict[str, tuple[str, str]]:
+    """The range of each key and where it stands: a scenario's `own`, at `where`, with the options `given` in its place
+    or beside it. A range that is `fixed` takes a key out. Raises `BadInput` for an option without a key."""
+    texts = {key: (text, f"{where}.{key}") for key, text in own.items()}
+    for one in given:
+        read = named(one)
+        if read is None:
+            raise BadInput(option, one, f"key=range, such as {example}")
+        key, text = read
+        if text == "fixed":
+            texts.pop(key, None)
+        else:
+            texts[key] = (text, f"{option} {key}")
+    return texts
 
 
 def check_form(text: object, where: str) -> str:

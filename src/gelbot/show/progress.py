@@ -1,4 +1,4 @@
-"""The progress of a run on the terminal: simulated time, phase, height and speed."""
+"""The progress of a run on the terminal: simulated time, phase, height and speed; the progress of many runs."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ import time as clock
 from types import TracebackType
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColumn, TimeRemainingColumn
+
+RUNS_OF = "{task.completed:.0f} of {task.total:.0f} runs"
+"""A column of `runs_bar`."""
 
 
 class RunProgress:
@@ -56,3 +59,12 @@ class RunProgress:
     ) -> None:
         if self._bar is not None:
             self._bar.stop()
+
+
+def runs_bar(console: Console, shown: bool, before: ProgressColumn | None, *after: ProgressColumn) -> Progress:
+    """A bar for many runs, with the time that is left, and columns of its own `before` and `after` it.
+
+    Not `shown`, or off a terminal, it says nothing.
+    """
+    columns = [*([] if before is None else [before]), BarColumn(bar_width=28), *after, TimeRemainingColumn()]
+    return Progress(*columns, console=console, disable=not (shown and console.is_terminal))

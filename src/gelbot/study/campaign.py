@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Executor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from gelbot import __version__
 from gelbot.controllers.choice import with_controller
 from gelbot.ensemble import workers
 from gelbot.errors import BadInput, GelbotError
-from gelbot.record.whole_file import write_text
-from gelbot.scenario.load import Loaded, load
+from gelbot.motion.reach import check_has_motion
+from gelbot.scenario.load import Loaded
 from gelbot.study.batches import Task, batches, rows_of, run_batches
 from gelbot.study.report import Report, report, write_report
+from gelbot.study.request_file import read_request, write_request
 from gelbot.study.scatter import checked_spreads, draw
 
-REQUEST, SCENARIO = "request.json", "scenario.toml"
+REQUEST = "request.json"
 BATCH = 10
 """Runs of a batch: some seconds, which is what a kill can lose."""
 
@@ -50,9 +49,7 @@ def prepare_study(
         raise BadInput("-n", request.runs, "1 run or more")
     if request.batch < 1:
         raise BadInput("batch", request.batch, "1 run or more")
-    if loaded.scenario.motion is None:
-        allowed = "a table [motion] that says what shall happen: a study counts how often it does"
-        raise BadInput(f"{loaded.source}: motion", "nothing", allowed, "gelbot show turn-over")
+    check_has_motion(loaded, ": a study counts how often it does")
     draw(checked_spreads(loaded, request.vary), request.seed, 0)
     prepared = with_controller(loaded, request.controller, programme, direction)
     checked_spreads(prepared, request.vary)
@@ -61,26 +58,13 @@ def prepare_study(
 
 def begin_study(prepared: Loaded, request: Request, folder: Path) -> None:
     """Write request and scenario into `folder`, from where the study can go on."""
-    folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / SCENARIO, prepared.text)
-    asked = {**request._asdict(), "source": prepared.source, "gelbot": __version__}
-    write_text(folder / REQUEST, json.dumps(asked, indent=2) + "\n")
+    write_request(folder / REQUEST, prepared, request._asdict())
 
 
 def asked_in(folder: Path) -> tuple[Loaded, Request]:
     """The study that was begun in `folder`. Raises `BadInput` where there is none, or another gelbot's."""
-    try:
-        asked = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise BadInput("--resume", str(folder), "the folder of a study (request.json)") from error
-    if not isinstance(asked, dict) or not {*Request._fields, "source", "gelbot"} <= asked.keys():
-        raise BadInput("--resume", str(folder), "the folder of a study of one controller (request.json)")
-    if asked["gelbot"] != __version__:
-        allowed = f"a study of gelbot {__version__}: with another one its runs would not be alike"
-        raise BadInput("--resume", f"{folder}, begun with gelbot {asked['gelbot']}", allowed)
-    loaded = load(str(folder / SCENARIO))
-    request = Request(asked["runs"], asked["seed"], tuple(asked["vary"]), asked["controller"], asked["batch"])
-    return Loaded(loaded.scenario, loaded.text, asked["source"]), request
+    loaded, asked = read_request(folder / REQUEST, Request._fields, "study", "study of one controller")
+    return loaded, Request(**{**asked, "vary": tuple(asked["vary"])})
 
 
 def run_study(folder: Path, executor: Executor | None = None, on_rows: OnRows | None = None) -> Report:
@@ -98,22 +82,14 @@ def run_study(folder: Path, executor: Executor | None = None, on_rows: OnRows | 
         if batch not in open_ones:
             tell(rows_of(batch))
     if open_ones:
-        with _pool(executor, len(open_ones)) as pool:
+        own = min(len(open_ones), os.cpu_count() or 1)
+        with workers(own) if executor is None else nullcontext(executor) as pool:
             for rows in run_batches(task, open_ones, pool):
                 tell(rows)
     rows = [row for batch in every for row in rows_of(batch)]
     made = report(loaded, request.controller, request.seed, rows)
     write_report(made, folder)
     return made
-
-
-@contextmanager
-def _pool(executor: Executor | None, most: int) -> Iterator[Executor]:
-    if executor is not None:
-        yield executor
-        return
-    with workers(min(most, os.cpu_count() or 1)) as pool:
-        yield pool
 
 
 @contextmanager

@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import TextColumn
 
 from gelbot.controllers.choice import CONTROLLERS
 from gelbot.errors import BadInput
 from gelbot.record.whole_file import write_text
 from gelbot.scenario.load import Loaded
+from gelbot.show.progress import RUNS_OF, runs_bar
 from gelbot.show.study_table import print_comparison, print_study
 from gelbot.study.campaign import REQUEST, Request, asked_in, begin_study, cluster, prepare_study, run_study
 from gelbot.study.compare import compare
@@ -86,15 +87,8 @@ def _run(folder: Path, executor: Any, progress: bool) -> Report:
     """One controller's study, with a bar that says how many have worked so far."""
     console = Console(stderr=True)
     _, asked = asked_in(folder)
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=28),
-        TextColumn("{task.completed:.0f} of {task.total:.0f} runs"),
-        TextColumn("[bold]{task.fields[met]} met"),
-        TimeRemainingColumn(),
-        console=console,
-        disable=not (progress and console.is_terminal),
-    )
+    counted, met_so_far = TextColumn(RUNS_OF), TextColumn("[bold]{task.fields[met]} met")
+    bar = runs_bar(console, progress, TextColumn("{task.description}"), counted, met_so_far)
     with bar:
         task = bar.add_task(asked.controller, total=asked.runs, met=0)
         met = 0

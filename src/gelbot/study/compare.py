@@ -10,7 +10,7 @@ import numpy as np
 from gelbot.study.report import Report
 from gelbot.study.statistics import mean_of, sign_test
 
-PAIRED = {"t_motion_s": "time [s]", "peak_voltage_V": "peak voltage [V]", "charge_C": "charge [C]"}
+PAIRED = ("t_motion_s", "peak_voltage_V", "charge_C")
 """What is compared on pairs in which both met the motion."""
 
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from gelbot.ensemble import in_its_place
 from gelbot.record.whole_file import write_text
 from gelbot.scenario.load import Loaded
 from gelbot.scenario.overrides import with_changes
@@ -18,15 +19,8 @@ from gelbot.study.statistics import clopper_pearson, mean_of
 
 STUDY, RUNS, FAILED = "study.json", "runs.csv", "failed"
 
-DISTRIBUTIONS = {
-    "t_switch_s": "switch [s]",
-    "t_transition_s": "transition [s]",
-    "t_motion_s": "whole motion [s]",
-    "z_switch_mm": "height at the switch [mm]",
-    "peak_voltage_V": "peak voltage [V]",
-    "charge_C": "charge [C]",
-}
-"""Of what distributions are told, with their names."""
+DISTRIBUTIONS = ("t_switch_s", "t_transition_s", "t_motion_s", "z_switch_mm", "peak_voltage_V", "charge_C")
+"""Of what distributions are told."""
 
 
 class Report(NamedTuple):
@@ -111,6 +105,5 @@ def write_report(made: Report, folder: Path) -> None:
 
 def _replay(loaded: Loaded, changes: dict[str, Any]) -> str:
     """The scenario of one run, to be run alone."""
-    place = [f"{x!r} m" for x in loaded.scenario.place]
-    everything = {"programme.place": place, **changes}
+    everything = in_its_place(loaded.scenario, changes)
     return with_changes(loaded.text, [(key.split("."), value) for key, value in everything.items()])

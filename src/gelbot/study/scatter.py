@@ -12,7 +12,7 @@ import numpy as np
 from gelbot.ensemble import scenario_of
 from gelbot.errors import BadInput
 from gelbot.scenario.load import Loaded
-from gelbot.scenario.ranges import Spread, spread
+from gelbot.scenario.ranges import Spread, overridden, spread
 
 
 def spreads(loaded: Loaded, vary: Sequence[str]) -> tuple[Spread, ...]:
@@ -40,17 +40,8 @@ def checked_spreads(loaded: Loaded, vary: Sequence[str]) -> tuple[Spread, ...]:
 
 def _texts(loaded: Loaded, vary: Sequence[str]) -> dict[str, tuple[str, str]]:
     """The range of each key, and where it stands."""
-    texts = {key: (text, f"{loaded.source}: scatter.{key}") for key, text in loaded.scenario.scatter.items()}
-    for given in vary:
-        key, equals, text = given.partition("=")
-        key, text = key.strip(), text.strip().strip("\"'")
-        if not equals or not key:
-            raise BadInput("--vary", given, 'key=range, such as material.p_l="+-10 %"')
-        if text == "fixed":
-            texts.pop(key, None)
-        else:
-            texts[key] = (text, f"--vary {key}")
-    return texts
+    where = f"{loaded.source}: scatter"
+    return overridden(loaded.scenario.scatter, where, "--vary", vary, 'material.p_l="+-10 %"')
 
 
 def draw(scattered: Sequence[Spread], seed: int, run: int) -> dict[str, Any]:

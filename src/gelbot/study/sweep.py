@@ -10,14 +10,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import TextColumn
 
 from gelbot.controllers.choice import with_controller
 from gelbot.ensemble import as_ready, workers
 from gelbot.errors import BadInput
+from gelbot.motion.reach import check_has_motion
 from gelbot.record.whole_file import write_text
 from gelbot.scenario.load import Loaded
-from gelbot.scenario.ranges import BETWEEN, Spread, spread
+from gelbot.scenario.ranges import BETWEEN, Spread, named, spread
+from gelbot.show.progress import RUNS_OF, runs_bar
 from gelbot.show.sweep_view import draw_sweep
 from gelbot.study.batches import Task, run_one
 from gelbot.study.report import table_of
@@ -38,9 +40,7 @@ def sweep(
     loaded: Loaded, axes: Axes, controller: str, programme: Path | None, folder: Path, progress: bool
 ) -> dict[str, Any]:
     """Run the grid, write map.json, points.csv and map.png into `folder`; returns the content of map.json."""
-    if loaded.scenario.motion is None:
-        allowed = "a table [motion] that says what shall happen: a map shows where it does"
-        raise BadInput(f"{loaded.source}: motion", "nothing", allowed, "gelbot show turn-over")
+    check_has_motion(loaded, ": a map shows where it does")
     prepared = with_controller(loaded, controller, programme)
     x, y = (_axis(option, text, prepared) for option, text in (("--x", axes.x), ("--y", axes.y)))
     for option, count in (("--columns", axes.columns), ("--rows", axes.rows)):
@@ -69,10 +69,11 @@ def sweep(
 
 
 def _axis(option: str, text: str, loaded: Loaded) -> Spread:
-    key, equals, values = text.partition("=")
-    if not equals or BETWEEN.fullmatch(values.strip().strip("\"'")) is None:
+    read = named(text)
+    if read is None or BETWEEN.fullmatch(read[1]) is None:
         raise BadInput(option, text, "KEY=LOW..HIGH with a unit", 'material.p_ele="1.5e-2 .. 2.5e-2 cm^2/mA"')
-    return spread(key.strip(), values.strip().strip("\"'"), tomllib.loads(loaded.text), f"{option} {key.strip()}")
+    key, values = read
+    return spread(key, values, tomllib.loads(loaded.text), f"{option} {key}")
 
 
 def _told(one: Spread, count: int) -> dict[str, Any]:
@@ -89,14 +90,7 @@ def _lines(rows: list[dict[str, Any]], columns: int) -> list[list[dict[str, Any]
 
 
 def _run(task: Task, points: list[dict[str, Any]], progress: bool) -> list[dict[str, Any]]:
-    console = Console(stderr=True)
-    bar = Progress(
-        BarColumn(bar_width=28),
-        TextColumn("{task.completed:.0f} of {task.total:.0f} runs"),
-        TimeRemainingColumn(),
-        console=console,
-        disable=not (progress and console.is_terminal),
-    )
+    bar = runs_bar(Console(stderr=True), progress, None, TextColumn(RUNS_OF))
     with bar, workers(min(len(points), os.cpu_count() or 1)) as pool:
         shown = bar.add_task("", total=len(points))
         futures = {pool.submit(_numbered, task, k, changes) for k, changes in enumerate(points)}
