@@ -124,6 +124,8 @@ def test_a_map_is_its_points_one_by_one(tmp_path: Path) -> None:
     [
         (["--x", "material.p_l", "--y", "material.p_ads=0.9 .. 1"], "--x: got 'material.p_l'; allowed: KEY=LOW..HIGH"),
         (["--x", "material.p_l=0.1 .. 0.5", "--y", "material.p_ads=0.9 .. 1", "--rows", "1"], "--rows: got 1"),
+        (["--x", "material.p_lx=0.1 .. 0.5", "--y", "material.p_ads=0.9 .. 1"], "turn-over: material.p_lx: got"),
+        (["--x", "material.p_l=1 mm .. 5 mm", "--y", "material.p_ads=0.9 .. 1"], "turn-over: material.p_l: got"),
     ],
 )
 def test_a_map_that_means_nothing_is_refused(option: list[str], said: str, tmp_path: Path) -> None:

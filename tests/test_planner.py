@@ -160,6 +160,11 @@ def test_what_is_impossible_ends_without_a_programme(tmp_path: Path) -> None:
         (["plan", "dome", "--set", GOAL % "1 mm"], "dome: search: got 'nothing'"),
         (["plan", "dome", "--set", GOAL % "1 mm", "--choose", "x"], "--choose: got 'x'; allowed: key=range"),
         (["plan", "dome", "--set", GOAL % "1 mm", *CHOICE, "--robots", "0"], "--robots: got 0; allowed: 1 or more"),
+        (
+            ["plan", "dome", "--set", GOAL % "1 mm", "--choose", "programme.phases.9.drive=1 V .. 2 V"],
+            "changed key: got 'programme.phases.9.drive'; allowed: a number from 0 to 0 in place of 9",
+        ),
+        (["plan", "dome", "--set", GOAL % "1 mm", "--choose", "material.p_lx=0.1 .. 0.5"], "dome: material.p_lx: got"),
         (["plan", "dome", "--resume", "x"], "--resume: got 'x'; allowed: alone"),
         (["plan", "--resume", "x"], "the folder of a search (asked.json)"),
     ],

@@ -8,27 +8,29 @@ import tomllib
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import tomlkit
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import TextColumn
 from rich.text import Text
 
-from gelbot import __version__
-from gelbot.ensemble import workers
+from gelbot.ensemble import scenario_of, workers
 from gelbot.errors import BadInput
-from gelbot.motion.reach import worded
+from gelbot.motion.reach import check_has_motion, worded
 from gelbot.planner.limits import impossible, limited_by
 from gelbot.planner.objective import Score, score
-from gelbot.planner.search import Candidate, Search, generations
+from gelbot.planner.search import Candidate, Search, generations, optimiser, values_of
 from gelbot.record.whole_file import write_text
-from gelbot.scenario.load import Loaded, load
+from gelbot.scenario.load import Loaded
 from gelbot.scenario.overrides import with_changes
-from gelbot.scenario.ranges import spread
+from gelbot.scenario.ranges import overridden, spread
 from gelbot.show.plan_search import draw_search
+from gelbot.show.progress import runs_bar
+from gelbot.study.request_file import read_request, write_request
 from gelbot.study.scatter import checked_spreads, draw, spreads
 from gelbot.study.statistics import clopper_pearson, mean_of
 
-ASKED, SCENARIO, GENERATIONS = "asked.json", "scenario.toml", "generations"
+ASKED, GENERATIONS = "asked.json", "generations"
 PLAN, PROGRAMME, ATTEMPT = "plan.json", "programme.toml", "best-attempt.toml"
 CHECK_SEED = 10_000
 """Added to the seed for the robots on which the best is tried: none that the search has seen."""
@@ -61,10 +63,7 @@ def seek(folder: Path, loaded: Loaded | None, asked: Asked | None, progress: boo
         search = _search(loaded, asked)
     else:
         search = _search(loaded, asked)
-        folder.mkdir(parents=True, exist_ok=True)
-        write_text(folder / SCENARIO, loaded.text)
-        told = {**asked._asdict(), "source": loaded.source, "gelbot": __version__}
-        write_text(folder / ASKED, json.dumps(told, indent=2) + "\n")
+        write_request(folder / ASKED, loaded, asked._asdict())
     reason = impossible(loaded)
     if reason:
         found = {"met": False, "asked": _goals(loaded), "best": None, "limited_by": [reason]}
@@ -98,9 +97,7 @@ def _rounds(
 
 
 def _search(loaded: Loaded, asked: Asked) -> Search:
-    if loaded.scenario.motion is None:
-        allowed = "a table [motion] that says what shall happen"
-        raise BadInput(f"{loaded.source}: motion", "nothing", allowed, "gelbot show turn-over")
+    check_has_motion(loaded)
     for option, value, least in (
         ("--robots", asked.robots, 1),
         ("--generations", asked.generations, 1),
@@ -111,54 +108,31 @@ def _search(loaded: Loaded, asked: Asked) -> Search:
         if value < least:
             raise BadInput(option, value, f"{least} or more")
     data = tomllib.loads(loaded.text)
-    texts = {key: (text, f"{loaded.source}: search.{key}") for key, text in loaded.scenario.search.items()}
-    for given in asked.choose:
-        key, equals, text = given.partition("=")
-        key, text = key.strip(), text.strip().strip("\"'")
-        if not equals or not key:
-            raise BadInput("--choose", given, 'key=range, such as programme.phases.0.drive="2 V .. 10 V"')
-        texts.pop(key, None)
-        if text != "fixed":
-            texts[key] = (text, f"--choose {key}")
+    where, example = f"{loaded.source}: search", 'programme.phases.0.drive="2 V .. 10 V"'
+    texts = overridden(loaded.scenario.search, where, "--choose", asked.choose, example)
     choices = tuple(spread(key, text, data, where) for key, (text, where) in texts.items())
     if not choices:
         allowed = "a table [search] in the scenario, or --choose KEY=RANGE: what may be chosen"
-        raise BadInput(f"{loaded.source}: search", "nothing", allowed, "gelbot show turn-over")
+        raise BadInput(where, "nothing", allowed, f"--choose {example}")
+    # All at their middles is a scenario that is allowed, or a key or a unit is wrong.
+    scenario_of(loaded, values_of(choices, np.full(sum(one.size for one in choices), 0.5)))
     scattered = checked_spreads(loaded, asked.vary)
     robots = tuple({} if k == 0 else draw(scattered, asked.seed, k) for k in range(asked.robots))
     return Search(loaded, choices, robots, asked.seed, asked.population)
 
 
 def _asked_in(folder: Path) -> tuple[Loaded, Asked]:
-    try:
-        told = json.loads((folder / ASKED).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise BadInput("--resume", str(folder), "the folder of a search (asked.json)") from error
-    if told["gelbot"] != __version__:
-        allowed = f"a search of gelbot {__version__}: with another one its runs would not be alike"
-        raise BadInput("--resume", f"{folder}, begun with gelbot {told['gelbot']}", allowed)
-    loaded = load(str(folder / SCENARIO))
-    asked = Asked(**{key: told[key] for key in Asked._fields})
-    return Loaded(loaded.scenario, loaded.text, told["source"]), asked._replace(
-        choose=tuple(asked.choose), vary=tuple(asked.vary)
-    )
+    loaded, told = read_request(folder / ASKED, Asked._fields, "search")
+    return loaded, Asked(**{**told, "choose": tuple(told["choose"]), "vary": tuple(told["vary"])})
 
 
 def _searched(
     search: Search, asked: Asked, folder: Path, round_number: int, pool: Any, console: Console
 ) -> list[list[Candidate]]:
     """All generations of a round, with a bar that says how good the best is so far."""
-    bar = Progress(
-        TextColumn("generation {task.fields[number]} of {task.fields[of]}"),
-        BarColumn(bar_width=28),
-        TextColumn("{task.completed:.0f} runs"),
-        TextColumn("[bold]{task.fields[best]}"),
-        TimeRemainingColumn(),
-        console=console,
-        disable=not console.is_terminal or console.quiet,
-    )
-    from gelbot.planner.search import optimiser
-
+    before = TextColumn("generation {task.fields[number]} of {task.fields[of]}")
+    after = TextColumn("{task.completed:.0f} runs"), TextColumn("[bold]{task.fields[best]}")
+    bar = runs_bar(console, not console.quiet, before, *after)
     runs = optimiser(search).population_size * len(search.robots) * asked.generations
     history: list[list[Candidate]] = []
     place = folder / GENERATIONS / str(round_number + 1)
@@ -193,7 +167,8 @@ def _found(
     met = sum(one.met for one in checked)
     enough = bool(checked) and met >= OFTEN * len(checked)
     rate = clopper_pearson(met, len(checked)) if checked else None
-    times = mean_of(_array([one.time for one in checked if one.time is not None]))
+    times = mean_of(np.array([one.time for one in checked if one.time is not None], float))
+    charges = [one.charge for one in checked if one.met]
     found = {
         "met": enough,
         "asked": _goals(search.loaded),
@@ -204,7 +179,7 @@ def _found(
         "rate": None if rate is None else rate._asdict(),
         "time_s": None if times is None else times._asdict(),
         "peak_voltage_V": max((one.peak for one in checked if one.met), default=None),
-        "charge_C": _mean([one.charge for one in checked if one.met]),
+        "charge_C": sum(charges) / len(charges) if charges else None,
         "best": {
             "values": best.changes,
             "cost": best.worth,
@@ -259,13 +234,3 @@ def _goals(loaded: Loaded) -> list[str]:
 def _told(one: Candidate) -> tuple[float, float]:
     """Cost and share of the robots on which the motion was met, for the picture."""
     return one.worth, sum(each.met for each in one.scores) / len(one.scores)
-
-
-def _array(values: list[float]) -> Any:
-    import numpy as np
-
-    return np.array(values, float)
-
-
-def _mean(values: list[float]) -> float | None:
-    return sum(values) / len(values) if values else None

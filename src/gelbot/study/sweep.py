@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import TextColumn
 
 from gelbot.controllers.choice import with_controller
-from gelbot.ensemble import as_ready, workers
+from gelbot.ensemble import as_ready, scenario_of, workers
 from gelbot.errors import BadInput
 from gelbot.motion.reach import check_has_motion
 from gelbot.record.whole_file import write_text
@@ -46,6 +46,8 @@ def sweep(
     for option, count in (("--columns", axes.columns), ("--rows", axes.rows)):
         if count < 2:
             raise BadInput(option, count, "2 or more")
+    # The middle is a scenario that is allowed, or a key or a unit is wrong; other points need not be.
+    scenario_of(prepared, {one.key: one.value(np.full(one.size, 0.5)) for one in (x, y)})
     shares = [np.linspace(0.0, 1.0, count) for count in (axes.columns, axes.rows)]
     points = [
         {x.key: x.value(np.full(x.size, a)), y.key: y.value(np.full(y.size, b))} for b in shares[1] for a in shares[0]
