@@ -8,6 +8,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.ticker import MaxNLocator
 
 from gelbot.show.style import BLUE, INK, RED, SETTINGS, new_figure, save
 
@@ -26,6 +27,7 @@ def draw_search(generations: Sequence[Sequence[tuple[float, float]]], path: Path
         best = np.minimum.accumulate([min(one[0] for one in made) for made in generations])
         axes.step(np.arange(len(best)) + 1.0, best, where="mid", color=INK, lw=1.2, label="best so far")
         axes.set(xlabel="generation", ylabel="mean cost over the robots", yscale="log")
-        axes.legend(loc="upper right")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0))
         figure.colorbar(points, cax=figure.add_axes((0.87, 0.14, 0.02, 0.76)), label="share of robots that met it")
         return save(figure, path)

@@ -51,7 +51,7 @@ def _draw_heights(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
         axes.plot([], [], color=RED, label=f"failed: {len(bad)}")
     axes.set(xlabel="time [s]", ylabel="height of the centre [mm]", ylim=(0.0, None))
     axes.margins(x=0.0)
-    axes.legend(loc="upper right")
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=2)
 
 
 def _draw_histogram(axes: Axes, rows: Sequence[Mapping[str, Any]], key: str, label: str, first: bool) -> None:
