@@ -171,7 +171,7 @@ def outcome(loaded: Loaded, index: int, robot: Changes) -> Outcome:
     times = {"wall_s": 0.0, "compile_s": 0.0}
     model = disturbed(experiment, experiment.model, experiment.state.positions)
     chunks = []
-    for frames in march(experiment, model, experiment.state, programs_of(loaded), times):
+    for frames in march(experiment, model, experiment.state, programs_of(loaded), times, at_once=True):
         chunks.append(jax.tree.map(np.asarray, frames))
         if not np.isfinite(chunks[-1].positions[-1]).all():
             break

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -52,6 +53,7 @@ def essential_points(body: Body) -> EssentialPoints:
     )
 
 
+@jax.jit
 def observe(points: EssentialPoints, positions: Array) -> Observation:
     """Read the essential points from node `positions` [m], shape (3, n), or (3, n, b) for a batch."""
     centre = jnp.einsum("in...,n->i...", positions, points.centre)

@@ -111,16 +111,24 @@ def first_program(experiment: Experiment, model: Model, times: dict[str, float])
 
 
 def march(
-    experiment: Experiment, model: Model, state: State, compiled: Programs, times: dict[str, float]
+    experiment: Experiment,
+    model: Model,
+    state: State,
+    compiled: Programs,
+    times: dict[str, float],
+    at_once: bool = False,
 ) -> Iterator[Frame]:
     """The scenario's whole programme for the robot `model` from `state`, a recording chunk of frames at a time.
 
-    The `model` comes with the field as the gel disturbs it in `state`; later chunks have theirs from here.
+    The `model` comes with the field as the gel disturbs it in `state`; later chunks have theirs from here. Where the
+    gel disturbs nothing, all frames can come `at_once`, which saves half a millisecond for each chunk.
     What is not yet among the `compiled` programs is added; `times` adds up `wall_s` and `compile_s` [s].
     """
     scenario = experiment.scenario
     period = scenario.programme.control_period
     per_chunk, left = (round(t / period) for t in (scenario.recording.chunk, scenario.simulation.duration))
+    if at_once and scenario.material.conductivity is None:
+        per_chunk = left
     memory, (dt, error) = begun(experiment, state), _time_steps(experiment, state)
     while left > 0:
         count = min(per_chunk, left)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from functools import cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING
 
 from gelbot.errors import BadInput
@@ -58,12 +58,18 @@ def quantity(text: object, unit: str, where: str) -> float:
     try:
         if NOT_A_UNIT.search(written):
             raise ValueError(written)
-        result = float(registry().Quantity(value, registry().parse_units(written)).to(unit).magnitude)
+        result = _converted(value, written, unit)
     except Exception as error:  # pint raises whatever its tokenizer, its arithmetic and its conversions raise
         raise BadInput(where, text, allowed) from error
     if not math.isfinite(result):
         raise BadInput(where, text, f"{allowed}, and finite")
     return result
+
+
+@lru_cache(4096)
+def _converted(value: float, written: str, unit: str) -> float:
+    """`value` of the unit `written`, in `unit`: kept, since the robots of a study have nearly all values in common."""
+    return float(registry().Quantity(value, registry().parse_units(written)).to(unit).magnitude)
 
 
 def allowed_quantity(unit: str) -> str:

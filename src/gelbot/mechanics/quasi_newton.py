@@ -113,8 +113,12 @@ def _advance(
     longest: Longest | None = None,
 ) -> _Iterate:
     running = it.norm > tolerance
-    # A new direction only now: who has converged needs none.
-    found = -two_loops(it.gradient, it.steps, it.changes, it.inverse_products, it.newest, precondition)
+    # A new direction only now: who has converged needs none, and who goes less far along the last one, neither.
+    found = jax.lax.cond(
+        (it.tried > 0) & ~jnp.all(it.rejected),
+        lambda: -two_loops(it.gradient, it.steps, it.changes, it.inverse_products, it.newest, precondition),
+        lambda: it.direction,
+    )
     direction = jnp.where(it.rejected, it.direction, found)
     whole = jnp.ones_like(it.length) if longest is None else longest(it.x, direction)
     length = jnp.where(it.rejected, it.length, whole)
