@@ -19,7 +19,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelbot.control.programme import ANGLE, HEIGHTS, NORMAL, Phases, Programme, Progress, advance, begin, next_phase
+from gelbot.control.programme import (
+    ALONG,
+    ANGLE,
+    HEIGHTS,
+    NORMAL,
+    Phases,
+    Programme,
+    Progress,
+    advance,
+    begin,
+    measured,
+    next_phase,
+)
 from gelbot.control.servo import filtered_rate, saturate, servo, slew
 from gelbot.errors import BadInput
 from gelbot.field.electrodes import Disc, Rod, hexagonal_array, rectangular_array, square_array
@@ -89,14 +101,14 @@ class TestServo:
 
 
 INF = float("inf")
-LOWS = {"heights": HEIGHTS, "tip_angles": ANGLE, "above": NORMAL}
-HIGHS = {"normals": NORMAL, "contact": HEIGHTS + 1}
+LOWS = {"heights": HEIGHTS, "tip_angles": ANGLE, "above": NORMAL, "along": ALONG}
+HIGHS = {"normals": NORMAL, "contact": HEIGHTS + 1, "along_below": ALONG}
 
 
 def programme(*ends: dict[str, float], amplitudes: tuple[float, ...] | None = None) -> Programme:
     """Phases that end as told (the last one included), each with a pattern and an amplitude of its own."""
     count = len(ends)
-    lows, highs = np.full((count, 5), -INF), np.full((count, 5), INF)
+    lows, highs = np.full((count, 6), -INF), np.full((count, 6), INF)
     for k, end in enumerate(ends):
         for bounds, places in ((lows, LOWS), (highs, HIGHS)):
             for key in set(end) & set(places):
@@ -123,7 +135,11 @@ def programme(*ends: dict[str, float], amplitudes: tuple[float, ...] | None = No
 
 
 def is_over(phases: Phases, progress: Progress, time, observation: Observation) -> bool:
-    return int(next_phase(phases, progress, time, observation)) != int(progress.phase)
+    return _next(phases, progress, time, observation) != int(progress.phase)
+
+
+def _next(phases: Phases, progress: Progress, time, observation: Observation) -> int:
+    return int(next_phase(phases, progress, jnp.asarray(time), measured(observation, observation.centre[0])))
 
 
 def seen(
@@ -145,6 +161,8 @@ class TestProgramme:
             ({"tip_angles": 1.4}, seen(tips=(1.3, 1.2)), seen(tips=(0.1, 1.45))),
             ({"normals": -0.85}, seen(normal=-0.8), seen(normal=-0.9)),
             ({"above": 0.85}, seen(normal=0.8), seen(normal=0.9)),
+            ({"along": 10 * MM}, seen(x=9.9 * MM), seen(x=10 * MM)),
+            ({"along_below": 0.0}, seen(x=0.1 * MM), seen(x=0.0)),
             ({"contact": 1 * MM}, seen(low=1.1 * MM), seen(low=0.9 * MM)),
             ({"heights": 5 * MM, "tip_angles": 1.4}, seen(6 * MM, (1.3, 0.0)), seen(6 * MM, (1.5, 0.0))),
             ({"heights": 5 * MM, "tip_angles": 1.4}, seen(4 * MM, (1.5, 0.0)), seen(6 * MM, (1.5, 0.0))),
@@ -155,6 +173,8 @@ class TestProgramme:
             "leading tip",
             "normal",
             "upright",
+            "along",
+            "along, back",
             "contact",
             "tip is missing",
             "height is missing",
@@ -227,9 +247,9 @@ class TestProgramme:
         """A body that fell back is lifted again."""
         phases = programme({"heights": 2 * MM}, {"normals": -0.5, "durations": 5.0}, {}, {}).phases
         phases = phases._replace(after_event=jnp.array([1, 3, 3, 3]), after_time=jnp.array([1, 0, 3, 3]))
-        assert int(next_phase(phases, at(1), jnp.asarray(1.0), seen(normal=-0.9))) == 3
-        assert int(next_phase(phases, at(1), jnp.asarray(5.0), seen())) == 0
-        assert int(next_phase(phases, at(1), jnp.asarray(5.0), seen(normal=-0.9))) == 3
+        assert _next(phases, at(1), 1.0, seen(normal=-0.9)) == 3
+        assert _next(phases, at(1), 5.0, seen()) == 0
+        assert _next(phases, at(1), 5.0, seen(normal=-0.9)) == 3
 
     def test_a_profile_is_linear_in_the_age_of_its_phase(self):
         plan = programme({"durations": 2.0}, {})

@@ -9,7 +9,7 @@ import tomlkit
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gelbot.control.programme import ANGLE, HEIGHTS, NORMAL, Programme
+from gelbot.control.programme import ALONG, ANGLE, HEIGHTS, NORMAL, Programme
 from gelbot.errors import BadInput
 from gelbot.field.charge import build_problem, solve
 from gelbot.plan.templates import template
@@ -341,7 +341,8 @@ programme.phases=[
    until={height="3 mm", tip_angle="45 deg", after="4 s", then="down", otherwise="rest"}},
   {name="keep", pattern="crossed-ridge", drive="servo", hold="2 mm",
    until={height_below="1 mm", normal_below=0.5, normal_above=-0.5, otherwise="up", after="7 s"}},
-  {name="rest", pattern="off", drive="0 V", until={contact=["tip 2", "centre"], lifted="tip 1", then="keep"}},
+  {name="rest", pattern="off", drive="0 V", until={contact=["tip 2", "centre"], lifted="tip 1", along="-2 mm",
+   along_below="4 mm", then="keep"}},
   {name="down", pattern=%s, drive="-2 V", until={after="9 s", otherwise="down"}},
 ]
 """.replace("\n", " ")
@@ -368,13 +369,14 @@ class TestProgrammeAsArrays:
         np.testing.assert_allclose(self.phases.holds, [np.nan, 2e-3, np.nan, np.nan])
 
     def test_conditions_are_bounds_of_what_is_measured(self) -> None:
-        lows, highs = np.full((4, 8), -np.inf), np.full((4, 8), np.inf)
+        lows, highs = np.full((4, 9), -np.inf), np.full((4, 9), np.inf)
         lows[UP, ANGLE], lows[UP, HEIGHTS] = np.pi / 4.0, 3e-3
         highs[KEEP, NORMAL], highs[KEEP, HEIGHTS] = 0.5, 1e-3
         lows[KEEP, NORMAL] = -0.5
         # On the floor is what is no higher than the body is thick.
         highs[LAST, HEIGHTS] = highs[LAST, HEIGHTS + 2] = 1e-3
         lows[LAST, HEIGHTS + 1] = 1e-3
+        lows[LAST, ALONG], highs[LAST, ALONG] = -2e-3, 4e-3
         np.testing.assert_allclose(self.phases.lows, lows)
         np.testing.assert_allclose(self.phases.highs, highs)
 

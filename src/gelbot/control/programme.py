@@ -17,7 +17,7 @@ from gelbot.points import Observation
 CLOCK_SLACK = 1e-4
 """Added up in single precision, a minute of steps is off by less than this [s]."""
 
-ANGLE, NORMAL, HEIGHTS = 0, 1, 2
+ANGLE, NORMAL, ALONG, HEIGHTS = 0, 1, 2, 3
 """Where the quantities of `measured` stand."""
 
 
@@ -89,12 +89,12 @@ class Command(NamedTuple):
     reference: Array
 
 
-def measured(observation: Observation) -> Array:
-    """What a phase's event can depend on, (3 + a,): the steepest of the tips' angles [rad], the normal's z, and the
-    heights [m] of the essential points, the centre and `a` tips."""
+def measured(observation: Observation, along: Array) -> Array:
+    """What a phase's event can depend on, (4 + a,): the steepest of the tips' angles [rad], the normal's z, how far
+    `along` [m] the followed point is, and the heights [m] of the essential points, the centre and `a` tips."""
     heights = jnp.concatenate([observation.centre[2:], observation.tips[2]])
     # The servo lifts the whole body; the tip that points down furthest says how far the arms have come.
-    return jnp.concatenate([jnp.max(observation.tip_angles)[None], observation.normal[2:], heights])
+    return jnp.concatenate([jnp.max(observation.tip_angles)[None], observation.normal[2:], along[None], heights])
 
 
 def _followed(programme: Programme, observation: Observation) -> Array:
@@ -110,9 +110,10 @@ def begin(programme: Programme, observation: Observation) -> Progress:
     return Progress(jnp.asarray(0), zero, jnp.where(programme.from_start, z, 0.0), z, zero, zero)
 
 
-def next_phase(phases: Phases, progress: Progress, time: Array, observation: Observation) -> Array:
-    """The phase after this tick: another one when its event has happened, or its time has run out."""
-    k, seen = progress.phase, measured(observation)
+def next_phase(phases: Phases, progress: Progress, time: Array, seen: Array) -> Array:
+    """The phase after this tick: another one when its event has happened in what is `seen` (see `measured`), or its
+    time has run out."""
+    k = progress.phase
     event = phases.conditional[k] & jnp.all((seen >= phases.lows[k]) & (seen <= phases.highs[k]))
     late = time - progress.began >= phases.durations[k] - CLOCK_SLACK
     return jnp.where(event, phases.after_event[k], jnp.where(late, phases.after_time[k], k))
@@ -123,10 +124,10 @@ def advance(
 ) -> tuple[Progress, Array, Command]:
     """One control tick: the voltages [V], shape (e,), to hold for the next period."""
     phases = programme.phases
-    phase = next_phase(phases, progress, time, observation)
+    z = _followed(programme, observation)
+    phase = next_phase(phases, progress, time, measured(observation, z - progress.origin))
     began = jnp.where(phase == progress.phase, progress.began, time)
 
-    z = _followed(programme, observation)
     rate = filtered_rate(
         (z - progress.last_height) / programme.period, progress.rate, programme.rate_filter, programme.period
     )

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from gelbot.control.programme import ANGLE, HEIGHTS, NORMAL, Phases, Programme
+from gelbot.control.programme import ALONG, ANGLE, HEIGHTS, NORMAL, Phases, Programme
 from gelbot.errors import BadInput
 from gelbot.field.charge import FieldSolution
 from gelbot.plan.carry import carried
@@ -100,7 +100,7 @@ def build_phases(scenario: Scenario, patterns: list[NDArray[np.float64]], tips: 
     # All profiles are as long as the longest: the last point once more.
     longest = max(len(phase.profile) for phase in phases)
     profiles = np.array([[*p.profile, *([p.profile[-1]] * (longest - len(p.profile)))] for p in phases])
-    lows, highs = np.full((len(phases), 3 + tips), -np.inf), np.full((len(phases), 3 + tips), np.inf)
+    lows, highs = (np.full((len(phases), HEIGHTS + 1 + tips), bound) for bound in (-np.inf, np.inf))
     for k, until in enumerate(phase.until or Until.model_construct() for phase in phases):
         points = {
             key: [HEIGHTS + _point(p, tips, f"programme.phases.{k}.until.{key}") for p in getattr(until, key) or ()]
@@ -112,6 +112,8 @@ def build_phases(scenario: Scenario, patterns: list[NDArray[np.float64]], tips: 
             (highs, HEIGHTS, until.height_below),
             (lows, NORMAL, until.normal_above),
             (highs, NORMAL, until.normal_below),
+            (lows, ALONG, until.along),
+            (highs, ALONG, until.along_below),
             (highs, points["contact"], scenario.body.thickness),
             (lows, points["lifted"], scenario.body.thickness),
         ]

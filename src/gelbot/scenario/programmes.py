@@ -148,7 +148,8 @@ class Until(Table):
     """What ends a phase: its event, when all that is named has been reached, or `after` [s] at the latest.
 
     Centre `height` [m] or more, or `height_below` [m] or less, steepest `tip_angle` [rad] or more, the normal's z at
-    most `normal_below` or at least `normal_above`, the points in `contact` on the floor, those in `lifted` off it. The
+    most `normal_below` or at least `normal_above`, the points in `contact` on the floor, those in `lifted` off it; the
+    reference's point `along` its axis by so much [m] or more, or `along_below` or less. The
     event leads to the phase `then`, the time to the phase `otherwise`; the next one where they are not given.
     """
 
@@ -157,6 +158,8 @@ class Until(Table):
     tip_angle: Angle | None = None
     normal_below: Annotated[float, Number(ge=-1, le=1)] | None = None
     normal_above: Annotated[float, Number(ge=-1, le=1)] | None = None
+    along: Coordinate | None = None
+    along_below: Coordinate | None = None
     contact: Points | None = None
     lifted: Points | None = None
     after: Time | None = None
@@ -283,6 +286,9 @@ class Programme(Table):
                 has_own = needed == "reference" and phase.hold is not None
                 if phase.drive == "servo" and not has_own and getattr(self, needed) is None:
                     raise wrong(needed, NOTHING, f'a table: programme.{key}.drive is "servo" and needs it')
+            for needed in ("along", "along_below"):
+                if self.reference is None and phase.until is not None and getattr(phase.until, needed) is not None:
+                    raise wrong("reference", NOTHING, f"a table: programme.{key}.until.{needed} goes by its point and axis")
             if phase.hold is not None and phase.drive != "servo":
                 raise wrong(f"{key}.hold", shown(phase.hold, "m"), 'only with drive = "servo"')
             self._check_order(phase.until, key, last, names)
