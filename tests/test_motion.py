@@ -21,7 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gelbot.errors import BadInput
-from gelbot.motion.reach import SCALES, Reached, misses, reach, seen_in, worded
+from gelbot.motion.reach import SCALES, Reached, misses, reach, seen_in, told, worded
 from gelbot.motion.wrap import wrapped
 from gelbot.scenario import load
 from gelbot.scenario.build import build
@@ -403,3 +403,16 @@ def test_a_body_without_tips_has_no_tip_angle() -> None:
     check_tips(motion, 1)
     with pytest.raises(BadInput, match=r"motion.goals.0.quantity: got 'tip_angle'; allowed: .* no tips"):
         check_tips(motion, 0)
+
+
+def test_what_is_told_of_a_run() -> None:
+    asked = scenario('{quantity="height", at_least="2 mm"}', '{quantity="height", at_most="2.5 mm"}')
+    assert asked.motion is not None
+    goals = ["height at least 2 mm", "height at most 2.5 mm"]
+    found = reach(run_of(np.array([0, 1, 3, 2.2, 0]) * MM), asked)
+    when = [{"goal": goal, "reached_s": time} for goal, time in zip(goals, found.times, strict=True)]
+    assert told(found, asked.motion) == {"met": True, "goals": when, "reason": ""}
+    found = reach(run_of(np.array([0, 1, 3, 3, 3]) * MM), asked)
+    when = [{"goal": goals[0], "reached_s": found.times[0]}, {"goal": goals[1], "reached_s": None}]
+    reason = "goal 2 (height at most 2.5 mm) not met: nearest 3 mm"
+    assert told(found, asked.motion) == {"met": False, "goals": when, "reason": reason}

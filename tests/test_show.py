@@ -18,13 +18,15 @@ from rich.console import Console
 
 from gelbot.body.lattice import build_body
 from gelbot.body.outline import starfish
+from gelbot.scenario import load
+from gelbot.scenario.obstacle_surfaces import obstacle_triangles
 from gelbot.show import movie
 from gelbot.show.gel_view import ELEVATION, GelView, Scene
 from gelbot.show.movie import film_frames, make_movie
 from gelbot.show.plan_view import PlanView
 from gelbot.show.progress import RunProgress
 from gelbot.show.snapshots import COUNT, draw_snapshots, moments
-from gelbot.show.style import new_figure, phase_name
+from gelbot.show.style import is_rhythm, new_figure, phase_name, stretches
 from gelbot.show.table import print_summary
 from gelbot.show.trajectory import draw_trajectory
 
@@ -111,6 +113,35 @@ def test_there_are_always_enough_moments(run: xr.Dataset, phases) -> None:
     still = run.assign(phase=(("time",), phases.astype(int)))
     assert len(moments(still)) == COUNT
     assert len(set(moments(still))) == COUNT
+
+
+def test_a_rhythm_of_phases_is_shown_as_one(run: xr.Dataset, tmp_path: Path) -> None:
+    """Four phases that come again and again, then a rest: names without their numbers, moments until the rest."""
+    count = run.sizes["time"]
+    phase = np.where(np.arange(count) < 90, np.arange(count) % 4, 4)
+    walk = run.assign(phase=(("time",), phase))
+    walk.attrs |= {
+        "phase_names": ["step 1", "step 2", "step 3", "step 4", "rest"],
+        "reference_axis": [1.0, 0.0, 0.0],
+        "reference_point": 0,
+    }
+    assert is_rhythm(walk)
+    assert stretches(walk) == [(0, 90, "step"), (90, count - 1, "rest")]
+    assert moments(walk)[-2:].tolist() == [90, count - 1]
+    assert len(moments(walk)) == COUNT
+    for draw in (draw_trajectory, draw_snapshots):
+        assert 0.02 < ink(imread(draw(walk, tmp_path / "figure.png"))) < 0.9
+    few = run.assign(phase=(("time",), (np.arange(count) >= 60).astype(int)))
+    assert not is_rhythm(few)
+    assert [name for *_, name in stretches(few)] == ["preparation", "transition"]
+
+
+def test_obstacles_are_drawn(run: xr.Dataset, tmp_path: Path) -> None:
+    box = 'obstacles=[{shape="box", position=["12 mm", "12 mm", "3 mm"], size=["6 mm", "6 mm", "6 mm"]}]'
+    surface = obstacle_triangles(load("turn-over", [box]).scenario.obstacles)
+    with_box = run.assign(obstacle_surface=(("space", "corner", "obstacle_face"), surface))
+    plain, boxed = (imread(draw_snapshots(data, tmp_path / "s.png")) for data in (run, with_box))
+    assert (np.abs(plain - boxed).max(axis=-1) > 0.05).mean() > 0.003
 
 
 def test_the_film_runs_at_its_speed() -> None:
@@ -203,6 +234,14 @@ def test_progress_is_one_line_per_phase_off_a_terminal() -> None:
     ]
 
 
+def test_progress_of_a_rhythm_is_one_line() -> None:
+    console = Console(file=io.StringIO(), force_terminal=False, width=100)
+    with RunProgress(30.0, console) as progress:
+        for t in range(31):
+            progress.update(float(t), f"step {t % 4 + 1}" if t < 20 else "rest", 0.4)
+    assert [line.split()[2] for line in console.file.getvalue().splitlines()] == ["step", "rest"]  # pyright: ignore
+
+
 def test_progress_on_a_terminal_shows_time_phase_height_and_speed() -> None:
     console = Console(file=io.StringIO(), force_terminal=True, width=120)
     with RunProgress(30.0, console) as progress:
@@ -237,6 +276,17 @@ def test_the_table_sets_the_paper_beside_the_run() -> None:
     empty = Console(file=io.StringIO(), width=100)
     print_summary({"turned_over": False, "t_switch_s": None}, empty)
     assert "no" in empty.file.getvalue()  # pyright: ignore
+
+
+def test_the_table_tells_how_far_the_motion_came() -> None:
+    goals = [{"goal": "along at least 10 mm", "reached_s": 73.3}, {"goal": "along at most 0.5 mm", "reached_s": None}]
+    motion = {"met": False, "goals": goals, "reason": "goal 2 (along at most 0.5 mm) not met: nearest 2 mm"}
+    console = Console(file=io.StringIO(), width=100)
+    print_summary({"turned_over": False, "t_switch_s": 0.4, "motion": motion}, console)
+    text = console.file.getvalue()  # pyright: ignore
+    for word in ("along at least 10 mm", "from 73.3 s on", "the motion is not met: goal 2 (along at most 0.5 mm)"):
+        assert word in text
+    assert "5 of 5" not in text  # the paper's robot turned over, and did not crawl
 
 
 def test_phases_without_a_name_are_numbered(run: xr.Dataset) -> None:

@@ -22,12 +22,14 @@ from gelbot.engine import keep_compiled, prepare_engine
 from gelbot.errors import BadInput, SimulationFailed
 from gelbot.field.lead_field import working_volume
 from gelbot.field.outlines import outlines
+from gelbot.motion.reach import reach, told
 from gelbot.points import observe
 from gelbot.record.run_store import RunStore, open_run
 from gelbot.record.summary import summarise
 from gelbot.record.whole_file import write_text
 from gelbot.scenario.build import Experiment, begun, build, disturbed
 from gelbot.scenario.load import Loaded
+from gelbot.scenario.obstacle_surfaces import obstacle_triangles
 from gelbot.show.progress import RunProgress
 from gelbot.simulate import Controller, Frame, Model, State, rollout
 
@@ -66,6 +68,8 @@ def run_scenario(loaded: Loaded, out: Path, movie: bool = True, progress: bool =
         store.finish("stopped by the user")
     run = open_run(out / RUN)
     summary = summarise(run, times["wall_s"], times["compile_s"])
+    if loaded.scenario.motion is not None:
+        summary["motion"] = told(reach(run, loaded.scenario), loaded.scenario.motion)
     write_text(out / SUMMARY, json.dumps(summary, indent=2) + "\n")
     # Who stops a run does not want to wait for its pictures.
     if run.sizes.get("time", 0) > 1 and not isinstance(failure, KeyboardInterrupt):
@@ -211,7 +215,7 @@ def _failure(frames: Frame, index: int, tolerance: float) -> SimulationFailed:
 
 def static_part(experiment: Experiment, loaded: Loaded) -> xr.Dataset:
     """What a run's data set holds that does not change with time."""
-    scenario, array = experiment.scenario, experiment.array
+    scenario, array, reference = experiment.scenario, experiment.array, experiment.scenario.programme.reference
     rest = np.asarray(experiment.state.positions)
     metre = {"units": "m"}
     return xr.Dataset(
@@ -224,6 +228,11 @@ def static_part(experiment: Experiment, loaded: Loaded) -> xr.Dataset:
                 outlines(array),
                 {**metre, "long_name": "corners of the electrodes, after a gap those of a hole"},
             ),
+            "obstacle_surface": (
+                ("space", "corner", "obstacle_face"),
+                obstacle_triangles(scenario.obstacles),
+                {**metre, "long_name": "corners of the obstacles' surfaces, but for planes"},
+            ),
         },
         coords={"space": ["x", "y", "z"]},
         attrs={
@@ -233,6 +242,8 @@ def static_part(experiment: Experiment, loaded: Loaded) -> xr.Dataset:
             "jax_version": version("jax"),
             "precision": scenario.simulation.precision,
             "phase_names": [phase.name for phase in scenario.programme.phases],
+            "reference_point": 0 if reference is None else reference.point,
+            "reference_axis": [0.0, 0.0, 1.0] if reference is None else list(reference.axis),
             "electrode_states": list(scenario.electrodes.states),
             "floor_depth": scenario.tank.floor_depth,
             "thickness": scenario.body.thickness,

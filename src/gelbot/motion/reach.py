@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gelbot.errors import BadInput
 from gelbot.motion.wrap import wrapped
 from gelbot.scenario.load import Loaded
-from gelbot.scenario.motions import UNITS, Goal
+from gelbot.scenario.motions import UNITS, Goal, Motion
 from gelbot.scenario.schema import Scenario
 from gelbot.units import shown
 
@@ -165,6 +165,13 @@ def _told(
             reason = f"goal {index + 1} ({worded(goal)}) not met: nearest {said}{kept}"
             return Reached(False, tuple(float(time[b]) for b in begins[:index]), shortfall, reason, nearest)
     return Reached(True, tuple(float(time[b]) for b in begins), 0.0, "", float("nan"))
+
+
+def told(found: Reached, motion: Motion) -> dict[str, Any]:
+    """How far a run came, as plain values: `met`, the `goals` in words with when each was reached, and the `reason`."""
+    times = [*found.times, *([None] * (len(motion.goals) - len(found.times)))]
+    goals = [{"goal": worded(goal), "reached_s": time} for goal, time in zip(motion.goals, times, strict=True)]
+    return {"met": found.met, "goals": goals, "reason": found.reason}
 
 
 def worded(goal: Goal) -> str:

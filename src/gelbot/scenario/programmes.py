@@ -288,7 +288,9 @@ class Programme(Table):
                     raise wrong(needed, NOTHING, f'a table: programme.{key}.drive is "servo" and needs it')
             for needed in ("along", "along_below"):
                 if self.reference is None and phase.until is not None and getattr(phase.until, needed) is not None:
-                    raise wrong("reference", NOTHING, f"a table: programme.{key}.until.{needed} goes by its point and axis")
+                    raise wrong(
+                        "reference", NOTHING, f"a table: programme.{key}.until.{needed} goes by its point and axis"
+                    )
             if phase.hold is not None and phase.drive != "servo":
                 raise wrong(f"{key}.hold", shown(phase.hold, "m"), 'only with drive = "servo"')
             self._check_order(phase.until, key, last, names)

@@ -30,6 +30,8 @@ ROOM = 0.55
 """How high the axes may be, as a share of their breadth, before they have to be drawn smaller."""
 AMBIENT = 0.6
 """Brightness of a face that the light does not reach, as a share of the brightest."""
+STONE = np.array([0.72, 0.72, 0.74, 1.0])
+"""The colour of obstacles."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,7 @@ class Scene:
     """A run's data for drawing, lengths in mm; read once, time first.
 
     `position` (t, 3, n), `faces` (3, f), `adsorption` (t, f), `voltage` (t, e) that the electrodes have, `centre` and
-    `normal` (t, 3), `electrodes` as outlines, `limit` [V], `breadth` of the body.
+    `normal` (t, 3), `electrodes` as outlines, `obstacles` as triangles (m, 3, 3), `limit` [V], `breadth` of the body.
     """
 
     position: NDArray[np.float64]
@@ -47,6 +49,7 @@ class Scene:
     centre: NDArray[np.float64]
     normal: NDArray[np.float64]
     electrodes: list[Outline]
+    obstacles: NDArray[np.float64]
     limit: float
     breadth: float
 
@@ -63,6 +66,7 @@ class Scene:
             centre=run["centre"].transpose("time", "space").values * MM,
             normal=run["normal"].transpose("time", "space").values,
             electrodes=[Outline(o.corners * MM, o.hole * MM) for o in electrode_outlines(run)],
+            obstacles=_obstacles(run) * MM,
             limit=float(run.attrs["limit"]),
             breadth=float(np.ptp(rest[:2], axis=1).max()),
         )
@@ -90,6 +94,13 @@ class Scene:
         return float(across[np.argmin(distance)]) + 12.0
 
 
+def _obstacles(run: xr.Dataset) -> NDArray[np.float64]:
+    """Their surfaces [m], (m, 3, 3): triangle, corner, space. Runs of before they were kept have none."""
+    if "obstacle_surface" not in run:
+        return np.zeros((0, 3, 3))
+    return run["obstacle_surface"].transpose("obstacle_face", "corner", "space").values
+
+
 class GelView:
     """The body, the floor and the electrodes round it in a three-dimensional picture; `show` moves it to a moment."""
 
@@ -103,6 +114,11 @@ class GelView:
         # The light comes from above, over the camera's left shoulder.
         self._light = _direction(scene.azimuth - 40.0, 50.0)
         self._ads_colours = ADSORPTION_MAP(np.linspace(0.0, 1.0, 256))
+        seen, brightness, _ = self._lit(scene.obstacles)
+        # In one collection with the body's faces, so that what is in front of the other is drawn after it.
+        self._stones, stone = scene.obstacles[seen], np.tile(STONE, (int(seen.sum()), 1))
+        stone[:, :3] *= brightness[seen, None]
+        self._stone_colours = stone
 
         reach = (1.5 if labels else 1.35) * half
         # Above the body at its start, an electrode is before it, whichever way the camera looks.
@@ -126,16 +142,14 @@ class GelView:
         """Move the picture to frame `k` of the run."""
         scene = self.scene
         corners = scene.position[k][:, scene.faces].transpose(2, 1, 0)
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-        seen = normals @ self._towards_camera > -0.1
-        brightness = AMBIENT + (1.0 - AMBIENT) * np.clip(normals @ self._light, 0.0, 1.0)
+        seen, brightness, normals = self._lit(corners)
         adsorbed = np.clip(scene.adsorption[k] / scene.most_adsorption, 0.0, 1.0)
         shade = self._ads_colours[(255.0 * adsorbed).astype(int)]
         shade[:, :3] *= brightness[:, None]
-        self._gel.set_verts(corners[seen])
-        self._gel.set_facecolor(shade[seen])
-        self._gel.set_edgecolor(shade[seen])
+        colours = np.concatenate([shade[seen], self._stone_colours])
+        self._gel.set_verts(np.concatenate([corners[seen], self._stones]))
+        self._gel.set_facecolor(colours)
+        self._gel.set_edgecolor(colours)
 
         shadow = corners[normals[:, 2] > 0.0].copy()
         shadow[:, :, 2] = 0.0
@@ -148,6 +162,13 @@ class GelView:
         colour[:, 3] = 0.6
         self._plates.paint(colour)
         self._far_plates.paint(colour)
+
+    def _lit(self, corners: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]:
+        """Which triangles (m, 3, 3) face the camera, how bright they are, (m,), and their normals, (m, 3)."""
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        brightness = AMBIENT + (1.0 - AMBIENT) * np.clip(normals @ self._light, 0.0, 1.0)
+        return normals @ self._towards_camera > -0.1, brightness, normals
 
     def draw_moving(self, renderer) -> None:
         """Draw what has moved on top of a picture of the rest; the figure must have been drawn once before."""

@@ -12,11 +12,17 @@ RUNS_OF = "{task.completed:.0f} of {task.total:.0f} runs"
 """A column of `runs_bar`."""
 
 
+def without_number(name: str) -> str:
+    """A phase's name without the number at its end: "forth" for "forth 2"."""
+    return name.rstrip("0123456789 ") or name
+
+
 class RunProgress:
     """A context manager that shows how far a run of `duration` [s] has come; feed it with `update`.
 
-    Off a terminal it prints one line per phase. The speed counts from the last update at the time of the first, so that
-    what came before, such as compiling, does not spoil it.
+    Off a terminal it prints one line per phase, and one for a row of phases whose names differ by their number only.
+    The speed counts from the last update at the time of the first, so that what came before, such as compiling, does not
+    spoil it.
     """
 
     def __init__(self, duration: float, console: Console | None = None) -> None:
@@ -50,7 +56,7 @@ class RunProgress:
         speed = f"{simulated / passed:.1f}x real time" if passed > 0.0 and simulated > 0.0 else ""
         if self._bar is not None:
             self._bar.update(self._task, completed=time, phase=phase_name, height=height_mm, speed=speed)
-        elif phase_name != self._phase:
+        elif without_number(phase_name) != without_number(self._phase or ""):
             self.console.print(f"{time:6.1f} s  {phase_name}  height {height_mm:.2f} mm", highlight=False, markup=False)
         self._phase = phase_name
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gelbot.show.gel_view import GelView, Scene
 from gelbot.show.plan_view import PlanView
-from gelbot.show.style import SETTINGS, add_colour_bars, drawable, new_figure, phase_name, save
+from gelbot.show.style import SETTINGS, add_colour_bars, drawable, is_rhythm, new_figure, phase_name, save
 
 COUNT = 8
 
@@ -21,7 +21,7 @@ def draw_snapshots(run: xr.Dataset, path: Path) -> Path:
     run = drawable(run)
     scene = Scene.of(run)
     time, phase = run["time"].values, run["phase"].values
-    switch = int(np.argmax(phase >= 1)) if phase.max() >= 1 else None
+    switch = int(np.argmax(phase >= 1)) if phase.max() >= 1 and not is_rhythm(run) else None
     with matplotlib.rc_context(SETTINGS):
         figure = new_figure(12.0, 7.0, 130)
         for place, k in enumerate(moments(run)):
@@ -43,13 +43,16 @@ def moments(run: xr.Dataset) -> NDArray[np.int64]:
     """The numbers of eight frames, in order of time (a short run gives fewer).
 
     With a switch: the start, two during preparation, the switch, three as the normal turns by equal parts, and the end.
-    Without one: eight at equal distances.
+    Without one: eight at equal distances. Where the phases are a rhythm: seven until it ends, and the end.
     """
     count = run.sizes["time"]
     even = np.unique(np.round(np.linspace(0, count - 1, COUNT)).astype(int))
     phase = run["phase"].values
     if phase.max() < 1 or count <= COUNT:
         return even
+    if is_rhythm(run):
+        last = int(np.flatnonzero(np.diff(phase))[-1]) + 1
+        return np.unique([*np.round(np.linspace(0, last, COUNT - 1)).astype(int), count - 1])
     switch = int(np.argmax(phase >= 1))
     angle = np.degrees(np.arccos(np.clip(run["normal"].transpose("time", "space").values[:, 2], -1.0, 1.0)))[switch:]
     # The angle is followed up to its largest value: a body that falls back is seen at its furthest.

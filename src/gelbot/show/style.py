@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -13,6 +14,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
+
+from gelbot.show.progress import without_number
 
 BLUE, ORANGE, GREEN, RED, PURPLE, SKY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"
 INK, FAINT = "#222222", "#8a8a8a"
@@ -83,6 +86,25 @@ def phase_name(run: xr.Dataset, phase: int) -> str:
     """The name of phase number `phase`, or "phase 3" where the run does not name it."""
     names = list(run.attrs.get("phase_names", []))
     return str(names[phase]) if 0 <= phase < len(names) else f"phase {phase + 1}"
+
+
+MANY = 12
+"""Changes of phase above which a run is a rhythm: its phases "forth 1", "forth 2", ... are then shown as "forth"."""
+
+
+def stretches(run: xr.Dataset) -> list[tuple[int, int, str]]:
+    """The first and the last frame of each stretch of the run with one phase, and its name."""
+    phase = run["phase"].values
+    names = np.array([phase_name(run, k) for k in range(int(phase.max()) + 1)])[phase]
+    if is_rhythm(run):
+        names = np.array([without_number(name) for name in names])
+    changes = np.flatnonzero(names[1:] != names[:-1]) + 1
+    return [(int(a), int(b), str(names[a])) for a, b in pairwise([0, *changes, len(phase) - 1])]
+
+
+def is_rhythm(run: xr.Dataset) -> bool:
+    """Whether the phases change so often that a picture has no room for each."""
+    return int(np.count_nonzero(np.diff(run["phase"].values))) > MANY
 
 
 def phase_shade(phase: int) -> str:

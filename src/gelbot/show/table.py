@@ -27,9 +27,15 @@ def comparison_table(summary: Mapping[str, Any]) -> Table:
         ("turned over", "5 of 5", "yes" if summary.get("turned_over") else "no"),
         ("stays over", "yes", _stays(summary)),
     )
-    # A scenario without a switch has nothing to hold against the paper.
-    for row in rows if summary.get("t_switch_s") is not None else ():
+    motion = summary.get("motion") or {}
+    goals = motion.get("goals", [])
+    # A scenario without a switch, or of another motion, has nothing to hold against the paper.
+    others = goals and not any(goal["goal"].startswith("normal") for goal in goals)
+    for row in rows if summary.get("t_switch_s") is not None and not others else ():
         table.add_row(*row)
+    for goal in goals:
+        reached = goal["reached_s"]
+        table.add_row(goal["goal"], "", "no" if reached is None else f"from {reached:.1f} s on")
     table.add_row("largest height", "", _value(summary, "max_height_mm", ".2f", " mm"))
     table.add_row("height at the end", "", _value(summary, "final_height_mm", ".2f", " mm"))
     table.add_row("normal's z at the end", "", _value(summary, "final_normal_z", ".2f", ""))
@@ -61,6 +67,9 @@ def print_summary(summary: Mapping[str, Any], console: Console | None = None) ->
             f"the field on the body's faces is read from a table that is off by {100.0 * error:.2g} %: electrodes are "
             "near, or the body lies on a boundary. Try: a smaller simulation.field_spacing",
         )
+    reason = (summary.get("motion") or {}).get("reason")
+    if reason:
+        lines += (f"the motion is not met: {reason}",)
     for line in lines:
         console.print(line, highlight=False, markup=False)
 

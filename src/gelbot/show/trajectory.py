@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from pathlib import Path
 
 import matplotlib
@@ -22,10 +21,11 @@ from gelbot.show.style import (
     SETTINGS,
     SKY,
     drawable,
+    is_rhythm,
     new_figure,
-    phase_name,
     phase_shade,
     save,
+    stretches,
 )
 
 TIP_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY)
@@ -36,13 +36,12 @@ def draw_trajectory(run: xr.Dataset, path: Path) -> Path:
     run = drawable(run)
     with matplotlib.rc_context(SETTINGS):
         figure = new_figure(7.2, 7.4, 150)
-        rows = figure.subplots(4, 1, sharex=True, height_ratios=[3.0, 1.2, 1.6, 1.2])
-        for axes in rows:
+        above, heights = ([draw_height, _draw_way], [1.6, 2.0]) if _is_level(run) else ([draw_height], [3.0])
+        parts, heights = [*above, _draw_amplitude, _draw_tips, _draw_normal], [*heights, 1.2, 1.6, 1.2]
+        rows = figure.subplots(len(parts), 1, sharex=True, height_ratios=heights)
+        for axes, draw in zip(rows, parts, strict=True):
             shade_phases(axes, run, names=axes is rows[0])
-        draw_height(rows[0], run)
-        _draw_amplitude(rows[1], run)
-        _draw_tips(rows[2], run)
-        _draw_normal(rows[3], run)
+            draw(axes, run)
         rows[-1].set_xlabel("time [s]")
         figure.align_ylabels(list(rows))
         figure.subplots_adjust(left=0.11, right=0.975, top=0.955, bottom=0.07, hspace=0.14)
@@ -51,17 +50,15 @@ def draw_trajectory(run: xr.Dataset, path: Path) -> Path:
 
 def shade_phases(axes: Axes, run: xr.Dataset, names: bool) -> None:
     """Shade the phases of `run` over time; with `names`, write each phase's name above its stretch."""
-    time, phase = run["time"].values, run["phase"].values
+    time = run["time"].values
     span = max(float(time[-1] - time[0]), 1e-9)
     axes.set_xlim(time[0], time[0] + span)
-    changes = np.flatnonzero(np.diff(phase)) + 1
     last_end = -np.inf
-    for first, last in pairwise([0, *changes, len(time) - 1]):
+    for k, (first, last, name) in enumerate(stretches(run)):
         start, end = time[first], time[last]
-        axes.axvspan(start, end, color=phase_shade(int(phase[first])), lw=0, zorder=0)
-        if first in changes:
+        axes.axvspan(start, end, color=phase_shade(k), lw=0, zorder=0)
+        if first > 0:
             axes.axvline(start, color=FAINT, lw=0.8, zorder=1)
-        name = phase_name(run, int(phase[first]))
         # A name is about this wide in the trajectory's figure; one without room would run into its neighbour.
         width, middle = 0.0145 * len(name) * span, (start + end) / 2.0
         if names and middle - width / 2.0 > last_end:
@@ -69,10 +66,36 @@ def shade_phases(axes: Axes, run: xr.Dataset, names: bool) -> None:
             last_end = middle + width / 2.0
 
 
+def _is_level(run: xr.Dataset) -> bool:
+    """Whether the reference is a way along the floor, not a height."""
+    return not run.attrs.get("reference_axis", [0.0, 0.0, 1.0])[2]
+
+
+def _way(run: xr.Dataset) -> NDArray[np.float64]:
+    """How far the reference's point has come along its axis [mm]."""
+    axis, point = np.array(run.attrs["reference_axis"]), int(run.attrs["reference_point"])
+    places = run["centre"].transpose("time", "space").values
+    if point > 0:
+        places = run["tip_position"].transpose("time", "space", "tip").values[:, :, point - 1]
+    return 1e3 * (places - places[0]) @ axis
+
+
+def _draw_way(axes: Axes, run: xr.Dataset) -> None:
+    point = int(run.attrs.get("reference_point", 0))
+    time = run["time"].values
+    axes.plot(time, run["reference"].values * 1e3, "--", color=INK, lw=1.2, label="reference")
+    label = "centre of the body" if point == 0 else f"tip {point}"
+    axes.plot(time, _way(run), color=BLUE, lw=2.0, label=label)
+    axes.set_ylabel("along [mm]")
+    axes.legend(loc="upper right")
+
+
 def draw_height(axes: Axes, run: xr.Dataset, faint: bool = False) -> None:
     """The centre's height and its reference [mm]; `faint`: in grey, as the ground of a curve that grows on it."""
     time, height = run["time"].values, run["centre"].transpose("time", "space").values[:, 2] * 1e3
     reference, phase = run["reference"].values * 1e3, run["phase"].values
+    if _is_level(run):
+        reference = np.full_like(reference, np.nan)
     if np.isfinite(reference).any():
         axes.plot(time, reference, "--", color=FAINT if faint else INK, lw=1.2, label="reference")
     axes.plot(time, height, color="#c4c4c4" if faint else BLUE, lw=1.2 if faint else 2.0, label="centre of the body")
@@ -82,11 +105,12 @@ def draw_height(axes: Axes, run: xr.Dataset, faint: bool = False) -> None:
         axes.set_xlabel("time [s]", fontsize=8, labelpad=1)
         axes.tick_params(labelsize=8)
         return
-    if phase.max() >= 1:
+    if phase.max() >= 1 and not is_rhythm(run):
         k = int(np.argmax(phase >= 1))
         label = f"switch: {time[k]:.1f} s, {height[k]:.1f} mm"
         axes.plot(time[k], height[k], "o", color=RED, ms=7, zorder=5, label=label)
-    axes.legend(loc="upper left")
+    if len(axes.lines) > 1:
+        axes.legend(loc="upper left")
 
 
 def _draw_amplitude(axes: Axes, run: xr.Dataset) -> None:
