@@ -156,12 +156,13 @@ def _told(
     shortfall = float(best[-1])
     for index, (goal, begin, miss) in enumerate(zip(goals, begins, missed, strict=True)):
         if miss[begin] > 0.0:
-            nearest = float(values[index][int(np.argmin(_miss(goal, values[index])))])
+            # What was before the goal before it does not count.
+            since = values[index][begins[index - 1] if index else 0 :]
+            short = _miss(goal, since)
+            nearest = float(since[int(np.argmin(short))])
             unit = UNITS[goal.quantity]
             said = shown(nearest, unit) if unit else f"{nearest:.3g}"
-            kept = ""
-            if _miss(goal, values[index]).min() <= 0.0:
-                kept = " (reached, but not kept)"
+            kept = " (reached, but not kept)" if short.min() <= 0.0 else ""
             reason = f"goal {index + 1} ({worded(goal)}) not met: nearest {said}{kept}"
             return Reached(False, tuple(float(time[b]) for b in begins[:index]), shortfall, reason, nearest)
     return Reached(True, tuple(float(time[b]) for b in begins), 0.0, "", float("nan"))

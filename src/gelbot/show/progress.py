@@ -21,8 +21,8 @@ class RunProgress:
     """A context manager that shows how far a run of `duration` [s] has come; feed it with `update`.
 
     Off a terminal it prints one line per phase, and one for a row of phases whose names differ by their number only.
-    The speed counts from the last update at the time of the first, so that what came before, such as compiling, does not
-    spoil it.
+    The speed counts from the last update at the time of the first, so that what came before, such as compiling, does
+    not spoil it.
     """
 
     def __init__(self, duration: float, console: Console | None = None) -> None:
