@@ -335,6 +335,10 @@ def plan(
     check: Annotated[
         int, typer.Option(help="Robots, none of them used in the search, on which the best is tried.")
     ] = 50,
+    gradients: Annotated[
+        int,
+        typer.Option(help="Motions to differentiate for a good beginning, where the programme goes by time alone."),
+    ] = 20,
     seed: Annotated[int, typer.Option(help="The same seed finds the same programme.")] = 1,
     vary: Annotated[
         list[str] | None,
@@ -365,7 +369,8 @@ def plan(
             if programme is not None:
                 loaded = with_programme(loaded, planned(loaded, programme)["programme"])
             folder = _folder(out, "plans", loaded.scenario.name)
-            asked = Asked(tuple(choose or ()), tuple(vary or ()), robots, generations, rounds, population, check, seed)
+            ranges = tuple(choose or ()), tuple(vary or ())
+            asked = Asked(*ranges, robots, generations, rounds, population, check, seed, gradients)
         else:
             loaded = asked = None
             if scenario is not None or changes or vary or choose or programme or out:

@@ -108,6 +108,28 @@ def reach(run: xr.Dataset, scenario: Scenario) -> Reached:
     step = float(time[0]) if count == 1 else float(time[1] - time[0])
     seen, start = seen_in(run, scenario), _start(run)
     values = [quantity_of(goal, seen, scenario, start) for goal in goals]
+    best, chosen, missed = _sequence(goals, values, step)
+    return _told(goals, values, time, best, chosen, missed)
+
+
+def windows(scenario: Scenario, values: list[Floats], step: float) -> list[slice]:
+    """The frames, `step` [s] apart, in which each goal would best be reached, by the `values` of its quantity there."""
+    assert scenario.motion is not None
+    goals, count = scenario.motion.goals, len(values[0])
+    _, chosen, _ = _sequence(goals, values, step)
+    at, found = count, []
+    for goal, began in zip(reversed(goals), reversed(chosen), strict=True):
+        first = max(0, int(began[at]))
+        last = count if goal.to_the_end else first + max(1, round((goal.lasting or 0.0) / step))
+        found.append(slice(first, min(last, count)))
+        at = first
+    return found[::-1]
+
+
+def _sequence(goals: tuple[Goal, ...], values: list[Floats], step: float) -> tuple[Floats, list[Any], list[Floats]]:
+    """By how much all goals are missed at best when the last one is over by a frame, (k + 1,); for each goal when it
+    then began, (k + 1,), and how far it is missed from each frame on, (k,)."""
+    count = len(values[0])
     # best[k]: least sum of the goals so far, the last of which has lasted by frame k; chosen: when it began.
     best, chosen, missed = np.zeros(count + 1), [], []
     for goal, value in zip(goals, values, strict=True):
@@ -132,7 +154,7 @@ def reach(run: xr.Dataset, scenario: Scenario) -> Reached:
         best = later
         chosen.append(began)
         missed.append(worst)
-    return _told(goals, values, time, best, chosen, missed)
+    return best, chosen, missed
 
 
 def _told(

@@ -17,6 +17,7 @@ from rich.text import Text
 from gelbot.ensemble import scenario_of, workers
 from gelbot.errors import BadInput
 from gelbot.motion.reach import check_has_motion, worded
+from gelbot.planner.descent import Descent, can_descend, descend
 from gelbot.planner.limits import impossible, limited_by
 from gelbot.planner.objective import Score, score
 from gelbot.planner.search import Candidate, Search, generations, optimiser, values_of
@@ -30,7 +31,7 @@ from gelbot.study.request_file import read_request, write_request
 from gelbot.study.scatter import checked_spreads, draw, spreads
 from gelbot.study.statistics import clopper_pearson, mean_of
 
-ASKED, GENERATIONS = "asked.json", "generations"
+ASKED, START, GENERATIONS = "asked.json", "start.json", "generations"
 PLAN, PROGRAMME, ATTEMPT = "plan.json", "programme.toml", "best-attempt.toml"
 CHECK_SEED = 10_000
 """Added to the seed for the robots on which the best is tried: none that the search has seen."""
@@ -49,6 +50,7 @@ class Asked(NamedTuple):
     population: int | None
     check: int
     seed: int
+    gradients: int
 
 
 def seek(folder: Path, loaded: Loaded | None, asked: Asked | None, progress: bool) -> dict[str, Any]:
@@ -68,10 +70,32 @@ def seek(folder: Path, loaded: Loaded | None, asked: Asked | None, progress: boo
     if reason:
         found = {"met": False, "asked": _goals(loaded), "best": None, "limited_by": [reason]}
         return _ended(folder, found, console)
+    begun = _begun(search, asked, folder, console)
+    if begun is not None:
+        search = search._replace(start=begun.shares)
     with workers(os.cpu_count() or 1) as pool:
         history, best, checked = _rounds(search, asked, folder, pool, console)
     draw_search([[_told(one) for one in made] for made in history], folder / "search.png")
-    return _ended(folder, _found(search, asked, folder, best, checked, len(history)), console)
+    found = _found(search, asked, folder, best, checked, len(history))
+    if begun is not None:
+        found["gradients"] = {"motions": begun.motions, "before": begun.before, "after": begun.after}
+    return _ended(folder, found, console)
+
+
+def _begun(search: Search, asked: Asked, folder: Path, console: Console) -> Descent | None:
+    """Where the motion's derivatives lead: computed once, since its last digits depend on the machine."""
+    if asked.gradients == 0 or not can_descend(search):
+        return None
+    file = folder / START
+    if file.exists():
+        kept = json.loads(file.read_text(encoding="utf-8"))
+        return Descent(**{**kept, "shares": np.array(kept["shares"])})
+    console.print(f"following derivatives of the motion by {search.dimension} choices", highlight=False)
+    made = descend(search, asked.gradients)
+    write_text(file, json.dumps({**made._asdict(), "shares": made.shares.tolist()}))
+    said = f"shortfall {made.before:.3g} -> {made.after:.3g} in {made.motions} motions and their derivatives"
+    console.print(said, highlight=False)
+    return made
 
 
 def _rounds(
@@ -103,6 +127,7 @@ def _search(loaded: Loaded, asked: Asked) -> Search:
         ("--generations", asked.generations, 1),
         ("--rounds", asked.rounds, 1),
         ("--check", asked.check, 1),
+        ("--gradients", asked.gradients, 0),
         ("--population", asked.population or 4, 4),
     ):
         if value < least:

@@ -1,0 +1,181 @@
+"""Where a search may begin: voltages found by the derivatives of the motion, on the nominal robot.
+
+A programme whose phases end by time alone, without a servo, is a table V of voltages, periods by electrodes, whatever
+the body does. With the shares s in [0, 1] of what may be chosen, and the motion's shortfall L,
+
+    dL/ds = (dV/ds)^T dL/dV,
+
+where dL/dV comes from the motion run backwards (`gradient.trajectory`), all its thousands of numbers for the price of a
+few runs; a search without derivatives pays by the number of choices instead. L is the mean square of how far each goal
+is missed, over the frames in which it would best be reached. L-BFGS-B (Byrd and others 1995) follows it downhill.
+
+A body that topples makes L rough; a path that ends in a hollow is why this is a beginning and not an end.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from gelbot.control.programme import Playing, play
+from gelbot.engine import keep_compiled, prepare_engine
+from gelbot.ensemble import scenario_of
+from gelbot.gradient import trajectory
+from gelbot.motion.reach import SCALES, windows
+from gelbot.planner.search import Search, values_of
+from gelbot.points import EssentialPoints, Observation, observe
+from gelbot.scenario.build import Experiment, begun, build, disturbed
+from gelbot.scenario.motions import UNITS, Goal
+from gelbot.scenario.schema import Scenario
+
+Floats = NDArray[np.float64]
+
+TOLERANCE = 1e-5
+"""Residual of a step: derivatives are as exact as the steps that they belong to."""
+STEP = 1e-4
+"""Difference of a share by which a voltage's dependence on it is found; voltages are linear in each choice."""
+
+
+class Descent(NamedTuple):
+    """Where it ended: `shares`, the `shortfall` L before and after, and how many `motions` were differentiated."""
+
+    shares: Floats
+    before: float
+    after: float
+    motions: int
+
+
+def can_descend(search: Search) -> bool:
+    """Whether the voltages depend on what may be chosen, smoothly, and on nothing that the body does."""
+    scenario = search.loaded.scenario
+    assert scenario.motion is not None
+    ranges = all("|" not in one.text for one in search.choices)
+    drives = all(
+        parts[:2] == ["programme", "phases"] and parts[3] in ("drive", "pattern")
+        for parts in (one.key.split(".") for one in search.choices)
+    )
+    timed = all(
+        phase.drive != "servo" and (phase.until is None or not phase.until.has_event)
+        for phase in scenario.programme.phases
+    )
+    return ranges and drives and timed and all(goal.quantity != "wrap" for goal in scenario.motion.goals)
+
+
+def descend(search: Search, motions: int) -> Descent:
+    """From the search's start downhill, for at most so many `motions`; the best place on the way."""
+    prepare_engine()
+    keep_compiled()
+    loaded = search.loaded
+    base = build(_exact(loaded.scenario))
+    model = disturbed(base, base.model, base.state.positions)
+    period, dt = loaded.scenario.programme.control_period, jnp.asarray(loaded.scenario.simulation.time_step)
+    steps = round(period / loaded.scenario.simulation.time_step)
+    start = np.asarray(base.state.positions)
+    seen = observe(model.points, base.state.positions)
+    places = np.concatenate([np.asarray(seen.centre)[:2, None], np.asarray(seen.tips)[:2]], axis=1)
+    tried: list[tuple[float, Floats]] = []
+
+    def voltages(shares: Floats) -> Floats:
+        changed = scenario_of(loaded, values_of(search.choices, shares))
+        return schedule(build(_exact(changed), base))
+
+    def value_and_slope(shares: Floats) -> tuple[float, Floats]:
+        volts = voltages(shares)
+        after = [voltages(np.where(np.arange(len(shares)) == k, _beside(shares), shares)) for k in range(len(shares))]
+        by_share = np.array([(one - volts) for one in after]) / (_beside(shares) - shares)[:, None, None]
+        differentiated: tuple[Any, Any] = jax.vjp(
+            lambda v: trajectory(model, base.state.positions, v, dt, steps), jnp.asarray(volts, start.dtype)
+        )
+        positions, back = differentiated
+        loss, slope = _missed(loaded.scenario, model.points, places, positions, period)
+        (by_volts,) = back(slope)
+        found = np.einsum("ske,ke->s", by_share, np.asarray(by_volts, float))
+        if not (np.isfinite(loss) and np.isfinite(found).all()):
+            loss, found = np.inf, np.zeros_like(found)
+        tried.append((loss, np.array(shares)))
+        return loss, found
+
+    first = np.concatenate([one.shares() for one in search.choices]) if search.start is None else search.start
+    minimize(
+        value_and_slope,
+        np.clip(first, STEP, 1.0 - STEP),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[(0.0, 1.0)] * search.dimension,
+        options={"maxfun": max(1, motions), "ftol": 1e-6, "gtol": 1e-6},
+    )
+    best = min(tried, key=lambda one: one[0])
+    return Descent(best[1], tried[0][0], best[0], len(tried))
+
+
+def _beside(shares: Floats) -> Floats:
+    """Shares a little further towards the middle."""
+    return np.where(shares < 0.5, shares + STEP, shares - STEP)
+
+
+def _exact(scenario: Scenario) -> Scenario:
+    exact = {"tolerance": min(TOLERANCE, scenario.simulation.tolerance), "precision": "float64", "step_error": None}
+    return scenario.model_copy(update={"simulation": scenario.simulation.model_copy(update=exact)})
+
+
+def schedule(experiment: Experiment) -> Floats:
+    """The voltages [V] of a programme that goes by time alone, control period by control period, shape (k, e)."""
+    scenario = experiment.scenario
+    period = scenario.programme.control_period
+    times = period * np.arange(round(scenario.simulation.duration / period))
+    seen = observe(experiment.model.points, experiment.state.positions)
+    return np.asarray(_played(begun(experiment, experiment.state), jnp.asarray(times), seen))
+
+
+@jax.jit
+def _played(memory: Playing, times: Array, seen: Observation) -> Array:
+    def tick(memory: Playing, time: Array) -> tuple[Playing, Array]:
+        memory, volts, _ = play(memory, time, seen)
+        return memory, volts
+
+    return jax.lax.scan(tick, memory, times)[1]
+
+
+def _missed(
+    scenario: Scenario, points: EssentialPoints, places: Floats, positions: Array, period: float
+) -> tuple[float, Array]:
+    """L of the `positions` (k, 3, n) [m], and its slope by them; `places` (2, 1 + a) [m] where the points began."""
+    assert scenario.motion is not None
+    goals = scenario.motion.goals
+
+    def quantities(positions: Array) -> list[Any]:
+        seen = jax.vmap(lambda x: observe(points, x))(positions)
+        return [_quantity(goal, seen, scenario, places) for goal in goals]
+
+    frames = windows(scenario, [np.asarray(one, float) for one in quantities(positions)], period)
+
+    def loss(positions: Array) -> Array:
+        total = jnp.zeros(())
+        for goal, value, window in zip(goals, quantities(positions), frames, strict=True):
+            low = -np.inf if goal.at_least is None else goal.at_least
+            high = np.inf if goal.at_most is None else goal.at_most
+            outside = jnp.maximum(jnp.maximum(low - value, value - high), 0.0) / SCALES[UNITS[goal.quantity]]
+            total = total + jnp.mean(outside[window] ** 2)
+        return total
+
+    value, slope = jax.value_and_grad(loss)(positions)
+    return float(value), slope
+
+
+def _quantity(goal: Goal, seen: Observation, scenario: Scenario, places: Floats) -> Any:
+    """`motion.reach.quantity_of`, of frames that are still to be differentiated."""
+    if goal.quantity == "normal":
+        return seen.normal[:, 2]
+    if goal.quantity == "tip_angle":
+        return jnp.max(seen.tip_angles, axis=1)
+    place = seen.centre if goal.point == 0 else seen.tips[:, :, goal.point - 1]
+    if goal.quantity == "height":
+        return place[:, 2]
+    assert scenario.motion is not None
+    return (place[:, :2] - places[:, goal.point]) @ scenario.motion.way(goal)
