@@ -29,10 +29,12 @@ from gelbot.simulate import Controller, Frame, Model, State, start
 
 HORIZON = 9.0
 """How far ahead a phase is tried [s]: about as long as a body takes to topple."""
-PIECE = 1.0
+PIECE = 0.5
 """A trial is computed so much of the horizon [s] at a time."""
-PIECES = 2
+PIECES = 4
 """So many pieces each tick, at most."""
+FORGOTTEN = 0.8
+"""What is left, a piece later, of how long the longest piece took."""
 SETTLED = 2.0
 """What counts of the last goal is its mean over the end of the horizon [s]."""
 BETTER = 0.15
@@ -80,8 +82,8 @@ Clock = Callable[[], float]
 class Predictive:
     """The controller of one robot; `tick` is called once each control period.
 
-    `work`: pieces of trials each tick. With a `clock` [s], none is begun later than `deadline` [s] after the tick
-    began; `late` counts the ticks that began none for that reason.
+    `work`: pieces of trials each tick. With a `clock` [s], none is begun that may not be over by `deadline` [s] after
+    the tick began, as long as the longest of late took; `late` counts the ticks that began none for that reason.
     """
 
     def __init__(
@@ -91,10 +93,11 @@ class Predictive:
         seen: Observation,
         work: int = PIECES,
         clock: Clock | None = None,
-        deadline: float = 0.08,
+        deadline: float = 0.07,
     ) -> None:
         self.experiment, self.programs, self.work = experiment, programs, work
         self.clock, self.deadline, self.late = clock, deadline, 0
+        self._longest = 0.0
         self.programme = experiment.programme
         self.progress = begin(self.programme, seen)
         self.period = experiment.scenario.programme.control_period
@@ -147,12 +150,17 @@ class Predictive:
             while len(trial.seen) * PIECE < HORIZON - 1e-9:
                 if done >= self.work:
                     return None
-                if began is not None and self.clock is not None and self.clock() - began > self.deadline:
+                now = 0.0 if self.clock is None else self.clock()
+                if began is not None and now - began + self._longest > self.deadline:
                     self.late += done == 0
+                    self._longest *= FORGOTTEN
                     return None
                 trial = self._tried(trial)
                 self.trials[k] = trial
                 done += 1
+                if self.clock is not None:
+                    jax.block_until_ready(trial.state)
+                    self._longest = max(self.clock() - now, FORGOTTEN * self._longest)
         values = {trial.phase: self._value(trial) for trial in self.trials}
         here = int(self.progress.phase)
         best = min(values, key=lambda phase: values[phase])
