@@ -166,6 +166,7 @@ def test_what_is_impossible_ends_without_a_programme(tmp_path: Path) -> None:
         ),
         (["plan", "dome", "--set", GOAL % "1 mm", "--choose", "material.p_lx=0.1 .. 0.5"], "dome: material.p_lx: got"),
         (["plan", "dome", "--resume", "x"], "--resume: got 'x'; allowed: alone"),
+        (["plan", "--resume", "x", "--rounds", "3"], "--resume: got 'x'; allowed: alone"),
         (["plan", "--resume", "x"], "the folder of a search (asked.json)"),
     ],
 )

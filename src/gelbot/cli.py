@@ -323,23 +323,28 @@ def plan(
         ),
     ] = None,
     robots: Annotated[
-        int, typer.Option(help="Robots on which each candidate is tried, the first without scatter.")
-    ] = 6,
-    generations: Annotated[int, typer.Option(help="Generations of candidates, at most.")] = 20,
+        int | None,
+        typer.Option(help="Robots on which each candidate is tried, the first without scatter. (default: 6)"),
+    ] = None,
+    generations: Annotated[int | None, typer.Option(help="Generations of candidates, at most. (default: 20)")] = None,
     rounds: Annotated[
-        int, typer.Option(help="Rounds: each learns from the robots on which the one before it failed.")
-    ] = 2,
+        int | None,
+        typer.Option(help="Rounds: each learns from the robots on which the one before it failed. (default: 2)"),
+    ] = None,
     population: Annotated[
         int | None, typer.Option(help="Candidates of a generation. (default: from their size)")
     ] = None,
     check: Annotated[
-        int, typer.Option(help="Robots, none of them used in the search, on which the best is tried.")
-    ] = 50,
+        int | None,
+        typer.Option(help="Robots, none of them used in the search, on which the best is tried. (default: 50)"),
+    ] = None,
     gradients: Annotated[
-        int,
-        typer.Option(help="Motions to differentiate for a good beginning, where the programme goes by time alone."),
-    ] = 20,
-    seed: Annotated[int, typer.Option(help="The same seed finds the same programme.")] = 1,
+        int | None,
+        typer.Option(
+            help="Motions to differentiate for a good beginning, where the programme goes by time alone. (default: 20)"
+        ),
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="The same seed finds the same programme. (default: 1)")] = None,
     vary: Annotated[
         list[str] | None,
         typer.Option(metavar="KEY=RANGE", help="What scatters, beside the scenario's own [scatter]. Repeatable."),
@@ -357,6 +362,14 @@ def plan(
         from gelbot.planner.command import Asked, seek
 
         folder = resume
+        numbers = {
+            key: value
+            for key, value in (
+                *(("robots", robots), ("generations", generations), ("rounds", rounds), ("population", population)),
+                *(("check", check), ("seed", seed), ("gradients", gradients)),
+            )
+            if value is not None
+        }
         if folder is None:
             if scenario is None:
                 raise BadInput(
@@ -369,11 +382,10 @@ def plan(
             if programme is not None:
                 loaded = with_programme(loaded, planned(loaded, programme)["programme"])
             folder = _folder(out, "plans", loaded.scenario.name)
-            ranges = tuple(choose or ()), tuple(vary or ())
-            asked = Asked(*ranges, robots, generations, rounds, population, check, seed, gradients)
+            asked = Asked(tuple(choose or ()), tuple(vary or ()), **numbers)
         else:
             loaded = asked = None
-            if scenario is not None or changes or vary or choose or programme or out:
+            if scenario is not None or changes or vary or choose or programme or out or numbers:
                 raise BadInput("--resume", str(resume), "alone: what was asked for stands in the folder")
         with stoppable(lambda: f". gelbot plan --resume {folder} goes on"):
             found = seek(folder, loaded, asked, progress=not as_json)

@@ -43,14 +43,14 @@ class Asked(NamedTuple):
     """A search as it was asked for."""
 
     choose: tuple[str, ...]
-    vary: tuple[str, ...]
-    robots: int
-    generations: int
-    rounds: int
-    population: int | None
-    check: int
-    seed: int
-    gradients: int
+    vary: tuple[str, ...] = ()
+    robots: int = 6
+    generations: int = 20
+    rounds: int = 2
+    population: int | None = None
+    check: int = 50
+    seed: int = 1
+    gradients: int = 20
 
 
 def seek(folder: Path, loaded: Loaded | None, asked: Asked | None, progress: bool) -> dict[str, Any]:
