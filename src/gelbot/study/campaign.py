@@ -18,7 +18,7 @@ from gelbot.scenario.load import Loaded
 from gelbot.study.batches import Task, batches, rows_of, run_batches
 from gelbot.study.report import Report, report, write_report
 from gelbot.study.request_file import read_request, write_request
-from gelbot.study.scatter import checked_spreads, draw
+from gelbot.study.scatter import checked_spreads, draw, spreads
 
 REQUEST = "request.json"
 BATCH = 10
@@ -87,7 +87,8 @@ def run_study(folder: Path, executor: Executor | None = None, on_rows: OnRows | 
             for rows in run_batches(task, open_ones, pool):
                 tell(rows)
     rows = [row for batch in every for row in rows_of(batch)]
-    made = report(loaded, request.controller, request.seed, rows)
+    scatter = {one.key: one.text for one in spreads(loaded, request.vary)}
+    made = report(loaded, request.controller, request.seed, rows, scatter)
     write_report(made, folder)
     return made
 

@@ -31,14 +31,20 @@ class Report(NamedTuple):
     loaded: Loaded
 
 
-def report(loaded: Loaded, controller: str, seed: int, rows: list[dict[str, Any]]) -> Report:
-    """Count the rows: success with its Clopper-Pearson interval, distributions over the runs that met the motion."""
+def report(
+    loaded: Loaded, controller: str, seed: int, rows: list[dict[str, Any]], scatter: dict[str, str] | None = None
+) -> Report:
+    """Count the rows: success with its Clopper-Pearson interval, distributions over the runs that met the motion.
+
+    `scatter`: the keys that were drawn, with their ranges.
+    """
     count, successes = len(rows), sum(row["met"] for row in rows)
     rate = clopper_pearson(successes, count)
     study = {
         "scenario": loaded.scenario.name,
         "controller": controller,
         "seed": seed,
+        "scatter": scatter or {},
         "precision": loaded.scenario.simulation.precision,
         "n": count,
         "successes": successes,
