@@ -87,6 +87,17 @@ def test_seventeen_choices_are_found_in_a_few_motions(tmp_path: Path) -> None:
     assert seek(tmp_path / "plan", None, None, progress=False) == found  # goes on from what was found
 
 
+@pytest.mark.slow
+def test_places_that_are_not_allowed_are_left_again() -> None:
+    """Half of the range is beyond the supply's limit of 10 V, and the first step leads there."""
+    asked = search(choose=("programme.phases.0.drive=0 V .. 40 V",))._replace(start=np.array([0.1]))
+    made = descend(asked, 8)
+    assert made.motions > 2
+    assert np.isfinite(made.after)
+    assert made.after <= made.before
+    assert made.shares[0] <= 0.25
+
+
 @pytest.mark.parametrize(
     ("phases", "goal", "choose"),
     [

@@ -405,6 +405,20 @@ def test_a_body_without_tips_has_no_tip_angle() -> None:
         check_tips(motion, 0)
 
 
+def test_a_run_that_wrote_nothing() -> None:
+    found = reach(xr.Dataset(), scenario('{quantity="height", at_least="2 mm"}'))
+    assert (found.met, found.times, found.reason) == (False, (), "the run has no frames")
+
+
+def test_what_was_while_the_goal_before_lasted_does_not_count() -> None:
+    asked = scenario(
+        '{quantity="height", at_least="2 mm", lasting="0.3 s"}', '{quantity="tip_angle", at_least="60 deg"}'
+    )
+    angles = np.radians([[0, 0], [65, 0], [65, 0], [65, 0], [40, 0]])
+    found = reach(run_of(np.array([0, 3, 3, 3, 3]) * MM, angles=angles), asked)
+    assert found.reason == "goal 2 (tip_angle at least 60 deg) not met: nearest 40 deg"
+
+
 def test_what_is_told_of_a_run() -> None:
     asked = scenario('{quantity="height", at_least="2 mm"}', '{quantity="height", at_most="2.5 mm"}')
     assert asked.motion is not None

@@ -34,6 +34,13 @@ def test_surface(shape: str) -> None:
     assert np.abs(np.asarray(gap)[1]).max() < 1e-8
 
 
+def test_a_thin_plate_has_no_more_triangles_than_a_picture_can_sort() -> None:
+    plate = 'obstacles=[{shape="box", position=["0 mm", "0 mm", "9 mm"], size=["100 mm", "100 mm", "0.1 mm"]}]'
+    rod = 'obstacles=[{shape="cylinder", position=["0 mm", "0 mm", "9 mm"], diameter="0.1 mm", length="99 mm"}]'
+    for obstacle in (plate, rod):
+        assert obstacle_triangles(load("turn-over", [obstacle]).scenario.obstacles).shape[2] < 4000
+
+
 def test_planes_are_left_out() -> None:
     plane = 'obstacles=[{shape="plane", position=["0 mm", "60 mm", "0 mm"], normal=[0, -1, 0]}]'
     assert obstacle_triangles(load("turn-over", [plane]).scenario.obstacles).shape == (3, 3, 0)

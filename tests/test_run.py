@@ -427,7 +427,8 @@ class TestFailures:
     @pytest.mark.slow
     def test_overflow_is_a_message(self, tmp_path: Path):
         # Stiffnesses that single precision cannot hold.
-        changes = [*SHORT, "simulation.precision=float32", "material.young_modulus=1e40 GPa"]
+        goal = 'motion={goals=[{quantity="height", at_least="1 mm"}]}'
+        changes = [*SHORT, "simulation.precision=float32", "material.young_modulus=1e40 GPa", goal]
         words = [word for change in changes for word in ("--set", change)]
         result = runner.invoke(app, ["run", "dome", "--out", str(tmp_path / "out"), "--no-movie", *words])
         assert result.exit_code == 1
@@ -435,7 +436,9 @@ class TestFailures:
         assert "Try: " in result.stderr
         run = open_run(tmp_path / "out" / "run.zarr")
         assert run.attrs["status"].startswith("failed: the simulation became non-finite")
-        assert json.loads((tmp_path / "out" / "summary.json").read_text())["simulated_s"] == 0.0
+        summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+        assert summary["simulated_s"] == 0.0
+        assert summary["motion"]["reason"] == "the run was not finished"
 
     @pytest.mark.slow
     def test_a_killed_run_opens_up_to_its_last_chunk(self, tmp_path: Path):

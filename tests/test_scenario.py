@@ -251,7 +251,7 @@ def test_built_in_scenarios_load_and_their_text_reads_as_the_same(name: str):
 
 
 def test_the_expected_scenarios_are_there():
-    assert {"turn-over", "early-switch", "dome", "strip", "lift", "curl", "right-left"} <= set(names())
+    assert {"turn-over", "early-switch", "dome", "strip", "lift", "curl", "right-left", "crawl"} <= set(names())
 
 
 def test_values_are_si():

@@ -30,9 +30,8 @@ import xarray as xr
 from gelbot.engine import keep_compiled, prepare_engine
 from gelbot.errors import BadInput, GelbotError
 from gelbot.motion.reach import Reached, reach
-from gelbot.points import observe
 from gelbot.record.summary import summarise
-from gelbot.run import Programs, frames_part, good_frames, march
+from gelbot.run import Programs, frames_part, good_frames, march, start_points
 from gelbot.scenario.build import Experiment, build, disturbed
 from gelbot.scenario.load import Loaded, checked
 from gelbot.scenario.overrides import put
@@ -205,7 +204,5 @@ def judged(experiment: Experiment, index: int, frames: Frame, times: Mapping[str
     reached = None
     if experiment.scenario.motion is not None:
         part["rest_position"] = (("space", "node"), np.asarray(experiment.state.positions))
-        seen = observe(experiment.model.points, experiment.state.positions)
-        part["start_point"] = (("space", "point"), np.concatenate([seen.centre[:, None], seen.tips], axis=1))
-        reached = reach(part, experiment.scenario)
+        reached = reach(part.assign(start_points(experiment)), experiment.scenario)
     return Outcome(index, summary, converged, reached, part.drop_vars(LEFT_OUT, errors="ignore").load())

@@ -22,7 +22,7 @@ from gelbot.engine import keep_compiled, prepare_engine
 from gelbot.errors import BadInput, SimulationFailed
 from gelbot.field.lead_field import working_volume
 from gelbot.field.outlines import outlines
-from gelbot.motion.reach import reach, told
+from gelbot.motion.reach import reach, told, unreached
 from gelbot.points import observe
 from gelbot.record.run_store import RunStore, open_run
 from gelbot.record.summary import summarise
@@ -69,7 +69,9 @@ def run_scenario(loaded: Loaded, out: Path, movie: bool = True, progress: bool =
     run = open_run(out / RUN)
     summary = summarise(run, times["wall_s"], times["compile_s"])
     if loaded.scenario.motion is not None:
-        summary["motion"] = told(reach(run, loaded.scenario), loaded.scenario.motion)
+        # What lasts to the end of a run that broke off has not lasted.
+        found = reach(run, loaded.scenario) if failure is None else unreached("the run was not finished")
+        summary["motion"] = told(found, loaded.scenario.motion)
     write_text(out / SUMMARY, json.dumps(summary, indent=2) + "\n")
     # Who stops a run does not want to wait for its pictures.
     if run.sizes.get("time", 0) > 1 and not isinstance(failure, KeyboardInterrupt):
@@ -131,7 +133,8 @@ def march(
     scenario = experiment.scenario
     period = scenario.programme.control_period
     per_chunk, left = (round(t / period) for t in (scenario.recording.chunk, scenario.simulation.duration))
-    if at_once and scenario.material.conductivity is None:
+    # Steps that adapt get shorter and shorter for a body that is lost: a chunk of that is enough.
+    if at_once and scenario.material.conductivity is None and scenario.simulation.step_error is None:
         per_chunk = left
     memory, (dt, error) = begun(experiment, state), _time_steps(experiment, state)
     while left > 0:
@@ -220,6 +223,7 @@ def static_part(experiment: Experiment, loaded: Loaded) -> xr.Dataset:
     metre = {"units": "m"}
     return xr.Dataset(
         {
+            **start_points(experiment),
             "rest_position": (("space", "node"), rest, {**metre, "long_name": "node positions at the start"}),
             "faces": (("corner", "face"), experiment.body.faces, {"long_name": "nodes of the surface triangles"}),
             "electrode_centre": (("space", "electrode"), array.centres, {**metre, "long_name": "electrodes' middles"}),
@@ -255,6 +259,13 @@ def static_part(experiment: Experiment, loaded: Loaded) -> xr.Dataset:
             "machine": platform.platform(),
         },
     )
+
+
+def start_points(experiment: Experiment) -> dict[str, Any]:
+    """The variable that says where centre and tips are at the start: how far they come is counted from there."""
+    seen = observe(experiment.model.points, experiment.state.positions)
+    places = np.concatenate([seen.centre[:, None], seen.tips], axis=1)
+    return {"start_point": (("space", "point"), places, {"units": "m", "long_name": "centre and tips at the start"})}
 
 
 def frames_part(experiment: Experiment, frames: Frame) -> xr.Dataset:

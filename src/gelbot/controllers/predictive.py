@@ -34,7 +34,7 @@ PIECE = 0.5
 PIECES = 4
 """So many pieces each tick, at most."""
 FORGOTTEN = 0.8
-"""What is left, a piece later, of how long the longest piece took."""
+"""What is left, a piece or a tick without one later, of how long the longest piece took."""
 SETTLED = 2.0
 """What counts of the last goal is its mean over the end of the horizon [s]."""
 BETTER = 0.15
@@ -101,6 +101,7 @@ class Predictive:
         self.programme = experiment.programme
         self.progress = begin(self.programme, seen)
         self.period = experiment.scenario.programme.control_period
+        self._piece = max(1, round(PIECE / self.period))
         self.twin = twin_at(experiment, seen)
         self.voltages = jnp.zeros_like(self.programme.phases.patterns[0])
         self.trials: list[Trial] = []
@@ -147,7 +148,7 @@ class Predictive:
             self._begin_trials()
         done = 0
         for k, trial in enumerate(self.trials):
-            while len(trial.seen) * PIECE < HORIZON - 1e-9:
+            while len(trial.seen) * self._piece * self.period < HORIZON - 1e-9:
                 if done >= self.work:
                     return None
                 now = 0.0 if self.clock is None else self.clock()
@@ -155,10 +156,12 @@ class Predictive:
                     self.late += done == 0
                     self._longest *= FORGOTTEN
                     return None
+                known = len(self.programs)
                 trial = self._tried(trial)
                 self.trials[k] = trial
                 done += 1
-                if self.clock is not None:
+                # One that had to be compiled says nothing of the next.
+                if self.clock is not None and len(self.programs) == known:
                     jax.block_until_ready(trial.state)
                     self._longest = max(self.clock() - now, FORGOTTEN * self._longest)
         values = {trial.phase: self._value(trial) for trial in self.trials}
@@ -179,8 +182,7 @@ class Predictive:
 
     def _tried(self, trial: Trial) -> Trial:
         """A piece more of a trial."""
-        count = round(PIECE / self.period)
-        state, memory, frames = self._rolled(play, trial.state, trial.memory, count)
+        state, memory, frames = self._rolled(play, trial.state, trial.memory, self._piece)
         return Trial(trial.phase, state, memory, [*trial.seen, frames.observation])
 
     def _value(self, trial: Trial) -> float:

@@ -63,17 +63,19 @@ def seen_in(run: xr.Dataset, scenario: Scenario) -> Seen:
 
 
 def quantity_of(goal: Goal, seen: Seen, scenario: Scenario, start: Floats) -> Floats:
-    """The goal's quantity at all frames, shape (k,); `start` [m], (2, 1 + a), is where centre and tips began."""
+    """The goal's quantity at all frames, shape (k,); `start` [m], (2, 1 + a), is where centre and tips began.
+
+    Arrays of the engine give one of the engine, which can be differentiated.
+    """
     if goal.quantity == "normal":
-        return np.asarray(seen.normal)[:, 2]
+        return seen.normal[:, 2]
     if goal.quantity == "tip_angle":
-        return np.asarray(seen.tip_angles).max(axis=1)
+        return seen.tip_angles.max(axis=1)
     if goal.quantity == "wrap":
         return np.full(len(seen.centre), np.nan) if seen.wrap is None else seen.wrap
-    points = np.concatenate([np.asarray(seen.centre)[..., None], np.asarray(seen.tips)], axis=2)
-    if goal.point >= points.shape[2]:
-        return np.full(len(points), np.nan)
-    place = points[:, :, goal.point]
+    if goal.point > seen.tips.shape[2]:
+        return np.full(len(seen.centre), np.nan)
+    place = seen.centre if goal.point == 0 else seen.tips[:, :, goal.point - 1]
     if goal.quantity == "height":
         return place[:, 2]
     assert scenario.motion is not None
@@ -101,15 +103,25 @@ def reach(run: xr.Dataset, scenario: Scenario) -> Reached:
     dynamic programming over the frames, and of equals the earliest.
     """
     assert scenario.motion is not None
+    if run.sizes.get("time", 0) == 0:
+        return unreached("the run has no frames")
     goals, time = scenario.motion.goals, _values(run, "time")
     count = len(time)
-    if count == 0:
-        return Reached(False, (), float("inf"), "the run has no frames", float("nan"))
     step = float(time[0]) if count == 1 else float(time[1] - time[0])
     seen, start = seen_in(run, scenario), _start(run)
     values = [quantity_of(goal, seen, scenario, start) for goal in goals]
     best, chosen, missed = _sequence(goals, values, step)
-    return _told(goals, values, time, best, chosen, missed)
+    return _told(goals, values, time, step, (best, chosen, missed))
+
+
+def unreached(reason: str) -> Reached:
+    """Of a run that tells nothing, for this `reason`."""
+    return Reached(False, (), float("inf"), reason, float("nan"))
+
+
+def _frames(goal: Goal, step: float) -> int:
+    """For how many frames, `step` [s] apart, a goal has to hold."""
+    return max(1, round((goal.lasting or 0.0) / step))
 
 
 def windows(scenario: Scenario, values: list[Floats], step: float) -> list[slice]:
@@ -120,7 +132,7 @@ def windows(scenario: Scenario, values: list[Floats], step: float) -> list[slice
     at, found = count, []
     for goal, began in zip(reversed(goals), reversed(chosen), strict=True):
         first = max(0, int(began[at]))
-        last = count if goal.to_the_end else first + max(1, round((goal.lasting or 0.0) / step))
+        last = count if goal.to_the_end else first + _frames(goal, step)
         found.append(slice(first, min(last, count)))
         at = first
     return found[::-1]
@@ -134,7 +146,7 @@ def _sequence(goals: tuple[Goal, ...], values: list[Floats], step: float) -> tup
     best, chosen, missed = np.zeros(count + 1), [], []
     for goal, value in zip(goals, values, strict=True):
         miss = _miss(goal, value)
-        frames = max(1, round((goal.lasting or 0.0) / step))
+        frames = _frames(goal, step)
         if goal.to_the_end:
             worst = np.maximum.accumulate(miss[::-1])[::-1]
             worst[max(0, count - frames + 1) :] = np.inf
@@ -161,15 +173,16 @@ def _told(
     goals: tuple[Goal, ...],
     values: list[Floats],
     time: Floats,
-    best: Floats,
-    chosen: list[Any],
-    missed: list[Floats],
+    step: float,
+    found: tuple[Floats, list[Any], list[Floats]],
 ) -> Reached:
+    """The sequence that was `found` (see `_sequence`), in words."""
+    best, chosen, missed = found
     for number, (goal, value, began) in enumerate(zip(goals, values, chosen, strict=True), 1):
         if began[-1] < 0:
             broke_off = not np.isfinite(value[-1])
             reason = f"goal {number} ({worded(goal)}) " + ("not met: broke off" if broke_off else "needs a longer run")
-            return Reached(False, (), float("inf"), reason, float("nan"))
+            return unreached(reason)
     at, begins = len(time), []
     for began in reversed(chosen):
         begins.append(int(began[at]))
@@ -178,8 +191,9 @@ def _told(
     shortfall = float(best[-1])
     for index, (goal, begin, miss) in enumerate(zip(goals, begins, missed, strict=True)):
         if miss[begin] > 0.0:
-            # What was before the goal before it does not count.
-            since = values[index][begins[index - 1] if index else 0 :]
+            # A goal counts from when the one before it has lasted; of a run that ends with it, its last frame.
+            over = begins[index - 1] + _frames(goals[index - 1], step) if index else 0
+            since = values[index][min(over, len(time) - 1) :]
             short = _miss(goal, since)
             nearest = float(since[int(np.argmin(short))])
             unit = UNITS[goal.quantity]

@@ -78,7 +78,7 @@ def seek(folder: Path, loaded: Loaded | None, asked: Asked | None, progress: boo
     draw_search([[_told(one) for one in made] for made in history], folder / "search.png")
     found = _found(search, asked, folder, best, checked, len(history))
     if begun is not None:
-        found["gradients"] = {"motions": begun.motions, "before": begun.before, "after": begun.after}
+        found["gradients"] = _plain(begun)
     return _ended(folder, found, console)
 
 
@@ -89,13 +89,20 @@ def _begun(search: Search, asked: Asked, folder: Path, console: Console) -> Desc
     file = folder / START
     if file.exists():
         kept = json.loads(file.read_text(encoding="utf-8"))
-        return Descent(**{**kept, "shares": np.array(kept["shares"])})
+        missing = {key: np.inf for key in ("before", "after") if kept[key] is None}
+        return Descent(**{**kept, **missing, "shares": np.array(kept["shares"])})
     console.print(f"following derivatives of the motion by {search.dimension} choices", highlight=False)
     made = descend(search, asked.gradients)
-    write_text(file, json.dumps({**made._asdict(), "shares": made.shares.tolist()}))
-    said = f"shortfall {made.before:.3g} -> {made.after:.3g} in {made.motions} motions and their derivatives"
+    write_text(file, json.dumps({**_plain(made), "shares": made.shares.tolist()}))
+    said = f"mean square miss {made.before:.3g} -> {made.after:.3g} in {made.motions} motions and their derivatives"
     console.print(said, highlight=False)
     return made
+
+
+def _plain(begun: Descent) -> dict[str, Any]:
+    """What a descent came to, as JSON has it: None for what is not finite."""
+    misses = {"before": begun.before, "after": begun.after}
+    return {"motions": begun.motions, **{key: v if np.isfinite(v) else None for key, v in misses.items()}}
 
 
 def _rounds(

@@ -14,6 +14,7 @@ A body that topples makes L rough; a path that ends in a hollow is why this is a
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import jax
@@ -26,12 +27,13 @@ from scipy.optimize import minimize
 from gelbot.control.programme import Playing, play
 from gelbot.engine import keep_compiled, prepare_engine
 from gelbot.ensemble import scenario_of
+from gelbot.errors import BadInput
 from gelbot.gradient import trajectory
-from gelbot.motion.reach import SCALES, windows
+from gelbot.motion.reach import SCALES, Seen, quantity_of, windows
 from gelbot.planner.search import Search, values_of
 from gelbot.points import EssentialPoints, Observation, observe
 from gelbot.scenario.build import Experiment, begun, build, disturbed
-from gelbot.scenario.motions import UNITS, Goal
+from gelbot.scenario.motions import UNITS
 from gelbot.scenario.schema import Scenario
 
 Floats = NDArray[np.float64]
@@ -39,16 +41,23 @@ Floats = NDArray[np.float64]
 TOLERANCE = 1e-5
 """Residual of a step: derivatives are as exact as the steps that they belong to."""
 STEP = 1e-4
-"""Difference of a share by which a voltage's dependence on it is found; voltages are linear in each choice."""
+"""Difference of a share by which a voltage's dependence on it is found; in most choices voltages are linear."""
+PENALTY = 10.0
+"""By how much a place where nothing can be computed is worse than the worst so far."""
 
 
 class Descent(NamedTuple):
-    """Where it ended: `shares`, the `shortfall` L before and after, and how many `motions` were differentiated."""
+    """Where it ended: `shares`, the mean square miss L `before` and `after`, infinite where it could not be computed,
+    and how many `motions` were differentiated."""
 
     shares: Floats
     before: float
     after: float
     motions: int
+
+
+class _Enough(Exception):
+    """So many motions as were wanted have been differentiated."""
 
 
 def can_descend(search: Search) -> bool:
@@ -68,7 +77,7 @@ def can_descend(search: Search) -> bool:
 
 
 def descend(search: Search, motions: int) -> Descent:
-    """From the search's start downhill, for at most so many `motions`; the best place on the way."""
+    """From the search's start downhill, for at most so many `motions`, 1 or more; the best place on the way."""
     prepare_engine()
     keep_compiled()
     loaded = search.loaded
@@ -76,9 +85,8 @@ def descend(search: Search, motions: int) -> Descent:
     model = disturbed(base, base.model, base.state.positions)
     period, dt = loaded.scenario.programme.control_period, jnp.asarray(loaded.scenario.simulation.time_step)
     steps = round(period / loaded.scenario.simulation.time_step)
-    start = np.asarray(base.state.positions)
     seen = observe(model.points, base.state.positions)
-    places = np.concatenate([np.asarray(seen.centre)[:2, None], np.asarray(seen.tips)[:2]], axis=1)
+    started = np.concatenate([seen.centre[:2, None], seen.tips[:2]], axis=1)
     tried: list[tuple[float, Floats]] = []
 
     def voltages(shares: Floats) -> Floats:
@@ -86,30 +94,39 @@ def descend(search: Search, motions: int) -> Descent:
         return schedule(build(_exact(changed), base))
 
     def value_and_slope(shares: Floats) -> tuple[float, Floats]:
-        volts = voltages(shares)
-        after = [voltages(np.where(np.arange(len(shares)) == k, _beside(shares), shares)) for k in range(len(shares))]
-        by_share = np.array([(one - volts) for one in after]) / (_beside(shares) - shares)[:, None, None]
-        differentiated: tuple[Any, Any] = jax.vjp(
-            lambda v: trajectory(model, base.state.positions, v, dt, steps), jnp.asarray(volts, start.dtype)
-        )
-        positions, back = differentiated
-        loss, slope = _missed(loaded.scenario, model.points, places, positions, period)
-        (by_volts,) = back(slope)
-        found = np.einsum("ske,ke->s", by_share, np.asarray(by_volts, float))
-        if not (np.isfinite(loss) and np.isfinite(found).all()):
-            loss, found = np.inf, np.zeros_like(found)
-        tried.append((loss, np.array(shares)))
-        return loss, found
+        if len(tried) >= motions:
+            raise _Enough
+        loss, slope = np.inf, np.zeros_like(shares)
+        # A place that the scenario does not allow is a bad one.
+        with suppress(BadInput):
+            volts = voltages(shares)
+            beside = _beside(shares)
+            places_beside = np.where(np.eye(len(shares), dtype=bool), beside, shares)
+            by_share = np.array([voltages(place) - volts for place in places_beside]) / (beside - shares)[:, None, None]
+            differentiated: tuple[Any, Any] = jax.vjp(
+                lambda v: trajectory(model, base.state.positions, v, dt, steps), jnp.asarray(volts)
+            )
+            positions, back = differentiated
+            loss, by_positions = _missed(loaded.scenario, model.points, started, positions, period)
+            (by_volts,) = back(by_positions)
+            slope = np.einsum("ske,ke->s", by_share, np.asarray(by_volts, float))
+        tried.append((loss if np.isfinite(loss) else np.inf, np.array(shares)))
+        if np.isfinite(loss) and np.isfinite(slope).all():
+            return loss, slope
+        # Infinity would end the descent; a value high above all others makes its next step shorter.
+        finite = [value for value, _ in tried if np.isfinite(value)]
+        return PENALTY * (1.0 + max(finite, default=0.0)), np.zeros_like(shares)
 
     first = np.concatenate([one.shares() for one in search.choices]) if search.start is None else search.start
-    minimize(
-        value_and_slope,
-        np.clip(first, STEP, 1.0 - STEP),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=[(0.0, 1.0)] * search.dimension,
-        options={"maxfun": max(1, motions), "ftol": 1e-6, "gtol": 1e-6},
-    )
+    with suppress(_Enough):
+        minimize(
+            value_and_slope,
+            np.clip(first, STEP, 1.0 - STEP),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=[(0.0, 1.0)] * search.dimension,
+            options={"ftol": 1e-6, "gtol": 1e-6},
+        )
     best = min(tried, key=lambda one: one[0])
     return Descent(best[1], tried[0][0], best[0], len(tried))
 
@@ -150,8 +167,8 @@ def _missed(
     goals = scenario.motion.goals
 
     def quantities(positions: Array) -> list[Any]:
-        seen = jax.vmap(lambda x: observe(points, x))(positions)
-        return [_quantity(goal, seen, scenario, places) for goal in goals]
+        seen: Any = jax.vmap(lambda x: observe(points, x))(positions)
+        return [quantity_of(goal, Seen(*seen), scenario, places) for goal in goals]
 
     frames = windows(scenario, [np.asarray(one, float) for one in quantities(positions)], period)
 
@@ -166,16 +183,3 @@ def _missed(
 
     value, slope = jax.value_and_grad(loss)(positions)
     return float(value), slope
-
-
-def _quantity(goal: Goal, seen: Observation, scenario: Scenario, places: Floats) -> Any:
-    """`motion.reach.quantity_of`, of frames that are still to be differentiated."""
-    if goal.quantity == "normal":
-        return seen.normal[:, 2]
-    if goal.quantity == "tip_angle":
-        return jnp.max(seen.tip_angles, axis=1)
-    place = seen.centre if goal.point == 0 else seen.tips[:, :, goal.point - 1]
-    if goal.quantity == "height":
-        return place[:, 2]
-    assert scenario.motion is not None
-    return (place[:, :2] - places[:, goal.point]) @ scenario.motion.way(goal)

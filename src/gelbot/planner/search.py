@@ -88,6 +88,8 @@ def generations(
     cma = optimiser(search)
     for number in range(count):
         asked = [cma.ask() for _ in range(cma.population_size)]
+        if number == 0 and search.start is not None:
+            asked[0] = search.start  # which the optimiser's own mean keeps off the bounds
         file = folder / f"{number:04d}.json"
         if file.exists():
             rows = json.loads(file.read_text(encoding="utf-8"))

@@ -12,8 +12,9 @@ Floats = NDArray[np.float64]
 
 ROUND = 36
 """Corners of what is drawn for a circle."""
-FINE = 0.25
-"""Triangles are this large, as a share of the radius or of half a box: a picture sorts them by their distance."""
+FINE, MOST = 0.25, 24
+"""Edges are cut into parts of this share of the radius, or of a box's shortest edge, since a picture sorts triangles by
+their distance; but not into more parts than this."""
 
 
 def obstacle_triangles(obstacles: tuple[AnyObstacle, ...]) -> Floats:
@@ -42,7 +43,7 @@ def _placed(triangles: Floats, turn: Floats, position: tuple[float, float, float
 
 
 def _parts(low: float, high: float, size: float) -> Floats:
-    return np.linspace(low, high, 1 + int(np.ceil((high - low) / size)))
+    return np.linspace(low, high, 1 + min(MOST, int(np.ceil((high - low) / size))))
 
 
 def _half_circle(radius: float) -> tuple[Floats, Floats]:

@@ -35,7 +35,7 @@ def comparison_table(summary: Mapping[str, Any]) -> Table:
         table.add_row(*row)
     for goal in goals:
         reached = goal["reached_s"]
-        table.add_row(goal["goal"], "", "no" if reached is None else f"from {reached:.1f} s on")
+        table.add_row(goal["goal"], "", "no" if reached is None else f"{reached:.1f} s")
     table.add_row("largest height", "", _value(summary, "max_height_mm", ".2f", " mm"))
     table.add_row("height at the end", "", _value(summary, "final_height_mm", ".2f", " mm"))
     table.add_row("normal's z at the end", "", _value(summary, "final_normal_z", ".2f", ""))

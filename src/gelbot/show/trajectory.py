@@ -50,13 +50,13 @@ def draw_trajectory(run: xr.Dataset, path: Path) -> Path:
 
 def shade_phases(axes: Axes, run: xr.Dataset, names: bool) -> None:
     """Shade the phases of `run` over time; with `names`, write each phase's name above its stretch."""
-    time = run["time"].values
+    time, phase, rhythm = run["time"].values, run["phase"].values, is_rhythm(run)
     span = max(float(time[-1] - time[0]), 1e-9)
     axes.set_xlim(time[0], time[0] + span)
     last_end = -np.inf
     for k, (first, last, name) in enumerate(stretches(run)):
         start, end = time[first], time[last]
-        axes.axvspan(start, end, color=phase_shade(k), lw=0, zorder=0)
+        axes.axvspan(start, end, color=phase_shade(k if rhythm else int(phase[first])), lw=0, zorder=0)
         if first > 0:
             axes.axvline(start, color=FAINT, lw=0.8, zorder=1)
         # A name is about this wide in the trajectory's figure; one without room would run into its neighbour.
@@ -77,7 +77,8 @@ def _way(run: xr.Dataset) -> NDArray[np.float64]:
     places = run["centre"].transpose("time", "space").values
     if point > 0:
         places = run["tip_position"].transpose("time", "space", "tip").values[:, :, point - 1]
-    return 1e3 * (places - places[0]) @ axis
+    start = run["start_point"].transpose("point", "space").values[point] if "start_point" in run else places[0]
+    return 1e3 * (places - start) @ axis
 
 
 def _draw_way(axes: Axes, run: xr.Dataset) -> None:
@@ -109,8 +110,7 @@ def draw_height(axes: Axes, run: xr.Dataset, faint: bool = False) -> None:
         k = int(np.argmax(phase >= 1))
         label = f"switch: {time[k]:.1f} s, {height[k]:.1f} mm"
         axes.plot(time[k], height[k], "o", color=RED, ms=7, zorder=5, label=label)
-    if len(axes.lines) > 1:
-        axes.legend(loc="upper left")
+    axes.legend(loc="upper left")
 
 
 def _draw_amplitude(axes: Axes, run: xr.Dataset) -> None:
