@@ -62,7 +62,7 @@ def test_the_slope_is_that_of_the_shortfall(monkeypatch: pytest.MonkeyPatch) -> 
         seen.append((0.0, way))
 
     monkeypatch.setattr(descent, "minimize", watched)
-    descend(asked, 1)
+    descend(asked, 3)
     (_, slope), (ahead, _), (behind, _), (_, way) = seen
     assert abs(slope @ way) > 1e-6
     assert slope @ way == pytest.approx((ahead - behind) / 2.0, rel=1e-3)
