@@ -1,6 +1,6 @@
 """Thousands of robots at once on a GPU: the paper's turn-over, all in step, each with its own material and place.
 
-    ../.venv/bin/python accelerator.py               # 64, 512 and 2,048 robots; needs an engine that sees a GPU
+    ../.venv/bin/python accelerator.py               # 64, 300 and 1,024 robots; needs an engine that sees a GPU
     ../.venv/bin/python accelerator.py 4 --seconds 2 # a quick look, on whatever the engine finds
 
 Each robot has what it has in a study, its own p_ele and start, and the scenario's own programme, servo included. They
@@ -14,7 +14,7 @@ import json
 import time
 from typing import Any
 
-BATCHES = (64, 512, 2048)
+BATCHES = (64, 300, 1024)
 SECONDS = 60
 Rows = list[dict[str, Any]]
 

@@ -51,7 +51,7 @@ def left_out() -> list[str]:
     if find_spec("mujoco") is None:
         reasons.append("MuJoCo is not installed (pip install mujoco-core): no rows of it, and no ratios to it")
     if shutil.which("nvidia-smi") is None:
-        reasons.append("no GPU at hand: no rows of thousands of robots on one, and none of Newton")
+        reasons.append("no GPU at hand: no rows of Newton; accelerator.py, which is run alone, wants one too")
     return reasons
 
 

@@ -363,13 +363,15 @@ def plan(
 
         folder = resume
         numbers = {
-            key: value
-            for key, value in (
-                *(("robots", robots), ("generations", generations), ("rounds", rounds), ("population", population)),
-                *(("check", check), ("seed", seed), ("gradients", gradients)),
-            )
-            if value is not None
+            "robots": robots,
+            "generations": generations,
+            "rounds": rounds,
+            "population": population,
+            "check": check,
+            "seed": seed,
+            "gradients": gradients,
         }
+        numbers = {key: value for key, value in numbers.items() if value is not None}
         if folder is None:
             if scenario is None:
                 raise BadInput(

@@ -69,6 +69,11 @@ def observe(points: EssentialPoints, positions: Array) -> Observation:
     )
 
 
+def essential(seen: Observation) -> Array:
+    """The essential points [m] of an observation, (3, 1 + a): the centre, then the `a` tips."""
+    return jnp.concatenate([seen.centre[:, None], seen.tips], axis=1)
+
+
 def body_frame(points: EssentialPoints, positions: Array) -> Array:
     """An orthonormal frame (3, 3) that turns with the middle of the body: two columns in its plane, then its normal."""
     columns = jnp.mean(positions[:, points.hub_nodes], axis=1)

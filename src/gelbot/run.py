@@ -23,7 +23,7 @@ from gelbot.errors import BadInput, SimulationFailed
 from gelbot.field.lead_field import working_volume
 from gelbot.field.outlines import outlines
 from gelbot.motion.reach import reach, told, unreached
-from gelbot.points import observe
+from gelbot.points import essential, observe
 from gelbot.record.run_store import RunStore, open_run
 from gelbot.record.summary import summarise
 from gelbot.record.whole_file import write_text
@@ -263,8 +263,7 @@ def static_part(experiment: Experiment, loaded: Loaded) -> xr.Dataset:
 
 def start_points(experiment: Experiment) -> dict[str, Any]:
     """The variable that says where centre and tips are at the start: how far they come is counted from there."""
-    seen = observe(experiment.model.points, experiment.state.positions)
-    places = np.concatenate([seen.centre[:, None], seen.tips], axis=1)
+    places = np.asarray(essential(observe(experiment.model.points, experiment.state.positions)))
     return {"start_point": (("space", "point"), places, {"units": "m", "long_name": "centre and tips at the start"})}
 
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from gelbot.control.servo import filtered_rate, saturate, servo, slew
-from gelbot.points import Observation
+from gelbot.points import Observation, essential
 
 CLOCK_SLACK = 1e-4
 """Added up in single precision, a minute of steps is off by less than this [s]."""
@@ -92,15 +92,14 @@ class Command(NamedTuple):
 def measured(observation: Observation, along: Array) -> Array:
     """What a phase's event can depend on, (4 + a,): the steepest of the tips' angles [rad], the normal's z, how far
     `along` [m] the followed point is, and the heights [m] of the essential points, the centre and `a` tips."""
-    heights = jnp.concatenate([observation.centre[2:], observation.tips[2]])
+    heights = essential(observation)[2]
     # The servo lifts the whole body; the tip that points down furthest says how far the arms have come.
     return jnp.concatenate([jnp.max(observation.tip_angles)[None], observation.normal[2:], along[None], heights])
 
 
 def _followed(programme: Programme, observation: Observation) -> Array:
     """The servo's z [m]."""
-    points = jnp.concatenate([observation.centre[:, None], observation.tips], axis=1)
-    return jnp.sum(programme.followed * points)
+    return jnp.sum(programme.followed * essential(observation))
 
 
 def begin(programme: Programme, observation: Observation) -> Progress:

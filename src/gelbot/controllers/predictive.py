@@ -22,7 +22,7 @@ from jax import Array
 from gelbot.body.symmetry import rotation
 from gelbot.control.programme import Command, Playing, advance, begin, play
 from gelbot.motion.reach import Seen, misses
-from gelbot.points import Observation, observe
+from gelbot.points import Observation, essential, observe
 from gelbot.run import Programs, compiled_rollout
 from gelbot.scenario.build import Experiment, disturbed
 from gelbot.simulate import Controller, Frame, Model, State, start
@@ -106,7 +106,7 @@ class Predictive:
         self.voltages = jnp.zeros_like(self.programme.phases.patterns[0])
         self.trials: list[Trial] = []
         self.settled = False
-        self._start = np.concatenate([seen.centre[:2, None], seen.tips[:2]], axis=1)
+        self._start = np.asarray(essential(seen))[:2]
 
     def tick(self, time: Array, seen: Observation) -> tuple[Array, Command]:
         """The voltages [V], shape (e,), to hold for the next period."""

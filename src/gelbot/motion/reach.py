@@ -225,12 +225,16 @@ def worded(goal: Goal) -> str:
     return f"{name}{low}{' and' if low and high else ''}{high}{lasting}{', to the end' if goal.to_the_end else ''}"
 
 
-def _miss(goal: Goal, values: Floats) -> Floats:
-    """How far `values` are outside the goal's bounds, in units of `SCALES`; infinite where they are not finite."""
+def outside(goal: Goal, values: Any) -> Any:
+    """How far `values` are outside the goal's bounds, in units of `SCALES`; the engine's arrays give one of its own."""
     low = -np.inf if goal.at_least is None else goal.at_least
     high = np.inf if goal.at_most is None else goal.at_most
-    outside = np.maximum(np.maximum(low - values, values - high), 0.0) / SCALES[UNITS[goal.quantity]]
-    return np.where(np.isfinite(values), outside, np.inf)
+    return ((low - values).clip(0.0) + (values - high).clip(0.0)) / SCALES[UNITS[goal.quantity]]
+
+
+def _miss(goal: Goal, values: Floats) -> Floats:
+    """How far `values` are `outside`; infinite where they are not finite."""
+    return np.where(np.isfinite(values), outside(goal, values), np.inf)
 
 
 def _worst_within(miss: Floats, frames: int) -> Floats:

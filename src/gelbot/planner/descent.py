@@ -29,11 +29,10 @@ from gelbot.engine import keep_compiled, prepare_engine
 from gelbot.ensemble import scenario_of
 from gelbot.errors import BadInput
 from gelbot.gradient import trajectory
-from gelbot.motion.reach import SCALES, Seen, quantity_of, windows
+from gelbot.motion.reach import Seen, outside, quantity_of, windows
 from gelbot.planner.search import Search, values_of
-from gelbot.points import EssentialPoints, Observation, observe
+from gelbot.points import EssentialPoints, Observation, essential, observe
 from gelbot.scenario.build import Experiment, begun, build, disturbed
-from gelbot.scenario.motions import UNITS
 from gelbot.scenario.schema import Scenario
 
 Floats = NDArray[np.float64]
@@ -85,8 +84,7 @@ def descend(search: Search, motions: int) -> Descent:
     model = disturbed(base, base.model, base.state.positions)
     period, dt = loaded.scenario.programme.control_period, jnp.asarray(loaded.scenario.simulation.time_step)
     steps = round(period / loaded.scenario.simulation.time_step)
-    seen = observe(model.points, base.state.positions)
-    started = np.concatenate([seen.centre[:2, None], seen.tips[:2]], axis=1)
+    started = np.asarray(essential(observe(model.points, base.state.positions)))[:2]
     tried: list[tuple[float, Floats]] = []
 
     def voltages(shares: Floats) -> Floats:
@@ -117,11 +115,10 @@ def descend(search: Search, motions: int) -> Descent:
         finite = [value for value, _ in tried if np.isfinite(value)]
         return PENALTY * (1.0 + max(finite, default=0.0)), np.zeros_like(shares)
 
-    first = np.concatenate([one.shares() for one in search.choices]) if search.start is None else search.start
     with suppress(_Enough):
         minimize(
             value_and_slope,
-            np.clip(first, STEP, 1.0 - STEP),
+            np.clip(search.first, STEP, 1.0 - STEP),
             jac=True,
             method="L-BFGS-B",
             bounds=[(0.0, 1.0)] * search.dimension,
@@ -175,10 +172,7 @@ def _missed(
     def loss(positions: Array) -> Array:
         total = jnp.zeros(())
         for goal, value, window in zip(goals, quantities(positions), frames, strict=True):
-            low = -np.inf if goal.at_least is None else goal.at_least
-            high = np.inf if goal.at_most is None else goal.at_most
-            outside = jnp.maximum(jnp.maximum(low - value, value - high), 0.0) / SCALES[UNITS[goal.quantity]]
-            total = total + jnp.mean(outside[window] ** 2)
+            total = total + jnp.mean(outside(goal, value)[window] ** 2)
         return total
 
     value, slope = jax.value_and_grad(loss)(positions)

@@ -65,15 +65,19 @@ class Search(NamedTuple):
     start: NDArray[np.float64] | None = None
 
     @property
+    def first(self) -> NDArray[np.float64]:
+        """Where it begins: its start, or what of the scenario's own programme lies within the ranges."""
+        return np.concatenate([one.shares() for one in self.choices]) if self.start is None else self.start
+
+    @property
     def dimension(self) -> int:
         return sum(one.size for one in self.choices)
 
 
 def optimiser(search: Search) -> CMA:
-    """A new optimiser. Its first mean is the search's start, or what of the scenario's own lies within the ranges."""
-    mean = np.concatenate([one.shares() for one in search.choices]) if search.start is None else search.start
+    """A new optimiser, whose first mean is where the search begins."""
     # With its mean on a bound, half of the candidates would be moved back onto it.
-    mean = np.clip(mean, 0.05, 0.95)
+    mean = np.clip(search.first, 0.05, 0.95)
     bounds = np.tile([[0.0, 1.0]], (search.dimension, 1))
     return CMA(mean=mean, sigma=SIGMA, bounds=bounds, seed=search.seed, population_size=search.population)
 
