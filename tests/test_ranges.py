@@ -213,6 +213,7 @@ def test_what_is_no_range_is_refused_with_its_forms(text: object) -> None:
         ("body.thickness", "normal 1 nonsense", "got '1 nonsense'; allowed: a value in a unit like"),
         ("body.thickness", "+-1", "a value in a unit like that of the scenario, mm"),
         ("material.p_l", "+-1 mm", "a value in a unit like that of the scenario, none"),
+        ("body.thickness", "1 mm .. 2", "got '1 mm .. 2'; allowed: a range of values"),
         ("body.thickness", "1 s .. 2 mm", "got '1 s'; allowed: a value in a unit like that of the scenario, mm"),
     ],
 )

@@ -137,7 +137,8 @@ def check_form(text: object, where: str) -> str:
         about = ABOUT.fullmatch(text)
         if between is not None:
             low, high = float(between[1]), float(between[3])
-            if math.isfinite(low) and math.isfinite(high) and low != high:
+            has_unit = between[4] or not between[2]  # the first value's unit is no unit of the second
+            if has_unit and math.isfinite(low) and math.isfinite(high) and low != high:
                 return text
         elif about is not None and math.isfinite(float(about[2])):
             return text
