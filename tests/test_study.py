@@ -700,7 +700,12 @@ def two_workers() -> Iterator[Any]:
     """A cluster of two processes on this machine."""
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None, memory_limit=0
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
+        memory_limit=0,
     ) as made:
         yield made
 
@@ -776,7 +781,7 @@ import time
 from distributed import LocalCluster
 
 if __name__ == "__main__":
-    here = {"host": "127.0.0.1", "dashboard_address": None, "memory_limit": 0}
+    here = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "memory_limit": 0}
     with LocalCluster(n_workers=1, threads_per_worker=1, **here) as made:
         print(made.scheduler_address, flush=True)
         time.sleep(600)
