@@ -9,13 +9,18 @@ unexport PYTHONDONTWRITEBYTECODE
 unexport PYTHONPATH
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test quick lint bench paper clean
+.PHONY: help demo live hardware test quick lint bench paper clean
 
 help: ## say what can be made
 	@sed -n 's/^\([a-z]*\):.*## /make \1\t/p' $(MAKEFILE_LIST)
 
 demo: $(VENV)/gelbot.stamp ## install gelbot and let the starfish turn over; results in runs/turn-over
 	$(BIN)/gelbot run turn-over
+
+live: $(VENV)/gelbot.stamp ## the live bench with a simulated gel, in the browser
+	$(BIN)/gelbot live
+
+hardware: $(VENV)/hardware.stamp ## what real supplies and cameras need: serial ports, instruments, OpenCV
 
 test: $(VENV)/dev.stamp ## everything that is checked: style, types, layers, all tests
 	$(BIN)/python tools/check.py lint tests
@@ -51,7 +56,12 @@ $(VENV)/gelbot.stamp: requirements.txt pyproject.toml | $(BIN)/python
 	@$(PIP_INSTALL) --no-deps --no-build-isolation --editable .
 	@touch $@
 
-$(VENV)/dev.stamp: requirements-dev.txt $(VENV)/gelbot.stamp
+$(VENV)/hardware.stamp: requirements-hardware.txt $(VENV)/gelbot.stamp
+	@echo "installing what supplies and cameras need"
+	@$(PIP_INSTALL) -r requirements-hardware.txt
+	@touch $@
+
+$(VENV)/dev.stamp: requirements-dev.txt requirements-hardware.txt $(VENV)/gelbot.stamp
 	@echo "installing what the checks need"
 	@$(PIP_INSTALL) -r requirements-dev.txt
 	@touch $@

@@ -70,3 +70,28 @@ class SimulationFailed(GelbotError):
                 "more simulation.max_iterations, a stiffer material.young_modulus, or a finer body.mesh_size"
             )
         super().__init__(text)
+
+
+class SupplyFailed(GelbotError):
+    """A supply did not do what it was told: what it is (`supply`), what went wrong (`what`), what to look at
+    (`advice`)."""
+
+    def __init__(self, supply: str, what: str, advice: str) -> None:
+        self.supply, self.what, self.advice = supply, what, advice
+        super().__init__(f"{supply}: {what}. Try: {advice}")
+
+
+class CameraFailed(GelbotError):
+    """A camera gives no pictures: which one (`camera`), what went wrong (`what`), what to look at (`advice`)."""
+
+    def __init__(self, camera: str, what: str, advice: str) -> None:
+        self.camera, self.what, self.advice = camera, what, advice
+        super().__init__(f"{camera}: {what}. Try: {advice}")
+
+
+class BenchStopped(GelbotError):
+    """The electrodes are at zero volts and stay there, for the `reason` given."""
+
+    def __init__(self, reason: str) -> None:
+        self.reason = reason
+        super().__init__(f"stopped, all electrodes at zero volts: {reason}")

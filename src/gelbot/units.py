@@ -23,6 +23,7 @@ KINDS = {
     "1/s": ("a rate", "20 1/s"),
     "V": ("a voltage", "10 V"),
     "A": ("a current", "200 mA"),
+    "C": ("a charge", "20 C"),
     "A/m^2": ("a current density", "10 mA/cm^2"),
     "m/s": ("a speed", "1 mm/s"),
     "V/s": ("a voltage per time", "5 V/s"),

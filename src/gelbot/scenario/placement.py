@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from gelbot.body.symmetry import rotation
 from gelbot.field.electrodes import THIN, Electrode, ElectrodeArray
 from gelbot.field.overlap import reaches_into
+from gelbot.scenario.bench import Supply
 from gelbot.scenario.bodies import Body
 from gelbot.scenario.electrodes import Electrodes
 from gelbot.scenario.fields import wrong
 from gelbot.scenario.programmes import Programme
-from gelbot.scenario.tables import Supply, Tank
+from gelbot.scenario.tables import Tank
 from gelbot.units import shown
 
 SLACK = 1e-9

@@ -10,6 +10,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
+from gelbot.scenario.bench import Camera, Supply
 from gelbot.scenario.bodies import Body
 from gelbot.scenario.electrodes import Electrodes
 from gelbot.scenario.fields import Table, check_multiple, wrong
@@ -18,7 +19,7 @@ from gelbot.scenario.obstacle_shapes import AnyObstacle, CylinderObstacle
 from gelbot.scenario.placement import check_gel_is_clear, check_reach, check_tank, check_voltages
 from gelbot.scenario.programmes import Programme
 from gelbot.scenario.ranges import Scatter
-from gelbot.scenario.tables import Material, Recording, Simulation, Solution, Supply, Tank
+from gelbot.scenario.tables import Material, Recording, Simulation, Solution, Tank
 
 
 class Scenario(Table):
@@ -33,6 +34,7 @@ class Scenario(Table):
     tank: Tank
     obstacles: tuple[AnyObstacle, ...] = ()
     supply: Supply
+    camera: Camera = Camera()
     programme: Programme
     motion: Motion | None = None
     scatter: Scatter = Field(default_factory=dict)
@@ -53,6 +55,7 @@ class Scenario(Table):
         check_multiple("recording.chunk", self.recording.chunk, "recording.interval", interval)
         check_multiple("simulation.duration", self.simulation.duration, "recording.interval", interval)
         self._check_wrap()
+        self.supply.check_channels(self.electrodes.array.count)
         check_tank(self.electrodes, self.tank)
         check_gel_is_clear(self.body, self.electrodes)
         check_reach(self.body, self.electrodes, self.tank)

@@ -59,13 +59,6 @@ class Tank(Table):
         return self
 
 
-class Supply(Table):
-    """The supply: the largest voltage `limit` [V], either way, and sum of positive currents `current_limit` [A]."""
-
-    limit: Annotated[float, Dimension("V", gt=0)]
-    current_limit: Annotated[float, Dimension("A", gt=0)] | None = None
-
-
 class Simulation(Table):
     """How it is computed: `duration` and `time_step` [s]; residual `tolerance` of the implicit step.
 

@@ -1,0 +1,287 @@
+"""The lowest layer of safety: the only one that holds a supply, below every controller; nothing above can switch it
+off.
+
+It limits what is asked for, and puts all electrodes at zero volts when one of those that it watches falls silent, when
+the supply fails or measures what it should not, when it is told to stop, and when the program ends. What kills the
+program kills the guard too: then the device's own watchdog does the same.
+
+    guard = Guard(supply, wiring, limits, clock, {"the control loop": Watch(0.2)})
+    with guard.on_duty():           # a thread that looks every 20 ms; or call guard.check() yourself
+        guard.arm()
+        given = guard.apply(voltages)
+        guard.stop("the user pressed the emergency stop")
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from threading import Event, Lock, RLock, Thread
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelbot.clock import Clock
+from gelbot.errors import BenchStopped, SupplyFailed
+from gelbot.hardware.limits import Limits, Wiring
+from gelbot.hardware.supply import Supply
+
+LOOK = 0.02
+"""The guard's thread looks this often [s]."""
+HEARTBEAT = 0.08
+"""A device that has heard nothing for this long [s] is told its voltages again, for its own watchdog's sake."""
+READ_EVERY = 0.1
+"""The supply is asked what it measures this often [s]."""
+STANDSTILL = 1.0
+"""Where the guard itself has not looked for so long [s], the machine has slept or its clock has jumped."""
+EXCESS = 1.1
+"""A measured current may be so many times the limit: the amplifier's own errors."""
+ASTRAY, ASTRAY_SHARE = 0.2, 0.05
+"""A measured voltage may be off by this [V] plus this share of it."""
+LOOP = "the control loop"
+CAMERA = "the camera"
+
+Floats = NDArray[np.float64]
+
+
+class Watch(NamedTuple):
+    """Who is silent for `limit` [s] puts the electrodes at zero volts, and for `patience` [s] ends the run: until then
+    it may come back, and the run goes on."""
+
+    limit: float
+    patience: float = 0.0
+
+
+class Guard:
+    """Holds the `supply`; see the module. Every method may be called from any thread.
+
+    `armed`: the electrodes may have voltages. `reason`: why they may not have them any more, None as long as they may.
+    """
+
+    def __init__(
+        self,
+        supply: Supply,
+        wiring: Wiring,
+        limits: Limits,
+        clock: Clock,
+        watches: Mapping[str, Watch],
+        on_event: Callable[[float, str], None] = lambda time, text: None,
+    ) -> None:
+        self.wiring, self.limits = wiring, limits
+        self.reason: str | None = None
+        self.armed = False
+        self.waiting_for: str | None = None
+        self.checks, self.longest_gap = 0, 0.0
+        self.measured: Floats | None = None
+        self.charge = 0.0
+        self._supply, self._clock, self._watches, self._on_event = supply, clock, dict(watches), on_event
+        self._lock, self._telling = RLock(), Lock()
+        self._fed = dict.fromkeys(self._watches, clock.now())
+        self._given = np.zeros(len(wiring.channel))
+        self._checked = self._written = self._applied = self._counted = self._read = clock.now()
+        self._off = Event()
+        self._thread: Thread | None = None
+        self._strays = 0
+
+    @property
+    def given(self) -> Floats:
+        """The voltages [V], (e,), that the electrodes were last told to have."""
+        return self._given.copy()
+
+    # -- what those above may do
+
+    def arm(self) -> None:
+        """Let the electrodes have voltages; all that is watched counts from now. Raises `BenchStopped` after a stop."""
+        with self._lock:
+            if self.reason is not None:
+                raise BenchStopped(self.reason)
+            now = self._clock.now()
+            self._fed = dict.fromkeys(self._watches, now)
+            self._checked = self._applied = self._counted = now
+            self.waiting_for, self.armed = None, True
+
+    def rest(self) -> None:
+        """Zero volts, until armed again."""
+        with self._lock:
+            self.armed, self.waiting_for = False, None
+            self._zero()
+
+    def reset(self) -> None:
+        """After a stop: what stopped it has been seen to. The electrodes stay at zero volts until armed."""
+        with self._lock:
+            self.rest()
+            self.reason, self.charge, self._strays = None, 0.0, 0
+
+    def feed(self, name: str) -> None:
+        """A sign of life of one that is watched."""
+        with self._lock:
+            self._fed[name] = self._clock.now()
+
+    def apply(self, voltages: Floats) -> Floats:
+        """Put the electrodes at `voltages` [V], (e,), as far as the limits allow; returns what they got.
+
+        Zeros as long as one that is watched is silent, and while not armed. Raises `BenchStopped` after a stop, and
+        when this stops it: a voltage that is no number, a supply that fails, a charge that is used up.
+        """
+        asked = np.asarray(voltages, float)
+        if asked.shape != self._given.shape or not np.isfinite(asked).all():
+            self.stop(f"the controller asked for {_odd(asked, self._given.shape)}")
+        self.check()
+        with self._lock:
+            if self.reason is not None:
+                raise BenchStopped(self.reason)
+            now = self._clock.now()
+            if LOOP in self._fed:
+                self._fed[LOOP] = now
+            elapsed, self._applied = min(now - self._applied, STANDSTILL), now
+            if not self.armed or self.waiting_for is not None:
+                return np.zeros_like(self._given)
+            self._tell(self.limits.allowed(asked, self._given, elapsed))
+            if self.reason is not None:
+                raise BenchStopped(self.reason)
+            return self._given.copy()
+
+    def stop(self, reason: str) -> None:
+        """Zero volts at once, until `reset`. The first reason counts."""
+        with self._telling:
+            first, self.reason = self.reason is None, self.reason or reason
+        # Set before the lock is asked for: a thread that waits for a device will not write another voltage after it.
+        with self._lock:
+            self.armed, self.waiting_for = False, None
+            self._zero()
+        if first:
+            self._on_event(self._clock.now(), f"stopped: {reason}")
+
+    def close(self) -> None:
+        """Zero volts, and let go of the supply."""
+        self._off.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+        self.rest()
+        self._supply.close()
+
+    # -- what it does by itself
+
+    @contextmanager
+    def on_duty(self) -> Iterator[Guard]:
+        """Look every `LOOK` seconds of real time, in a thread of its own; at the end zero volts and let go."""
+        self._off.clear()
+        self._thread = Thread(target=self._look, name="guard", daemon=True)
+        self._thread.start()
+        try:
+            yield self
+        finally:
+            self.close()
+
+    def _look(self) -> None:
+        while not self._off.wait(LOOK):
+            try:
+                self.check()
+            except Exception as error:  # a guard does not fall asleep over a mistake of its own
+                self.stop(f"the guard failed: {error!r}")
+
+    def check(self) -> None:
+        """Look once at everything that is watched."""
+        with self._lock:
+            now = self._clock.now()
+            gap, self._checked = now - self._checked, now
+            self.checks += 1
+            if not self.armed:
+                return
+            self.longest_gap = max(self.longest_gap, gap)
+            if gap < 0.0:
+                self.stop(f"the clock went back by {-gap:.3g} s")
+            elif gap > STANDSTILL:
+                self.stop(f"the program or its clock stood still for {gap:.3g} s")
+            if self.reason is None:
+                self._watch(now)
+            if self.armed:
+                self._count(now)
+                self._keep_alive(now)
+
+    def _watch(self, now: float) -> None:
+        silent = {name: now - fed for name, fed in self._fed.items() if now - fed > self._watches[name].limit}
+        for name, silence in silent.items():
+            if silence > self._watches[name].patience:
+                self.stop(f"{name} has been silent for {silence:.2g} s")
+                return
+        waiting = next(iter(silent), None)
+        if waiting != self.waiting_for:
+            self.waiting_for = waiting
+            if waiting is not None:
+                self._zero()
+                self._on_event(now, f"zero volts: waiting for {waiting}")
+            else:
+                self._on_event(now, "all is seen again: going on")
+
+    def _count(self, now: float) -> None:
+        """Add up the charge, and stop when it is used up."""
+        self.charge += self.limits.total_current(self._given) * (now - self._counted)
+        self._counted = now
+        if self.charge > self.limits.charge:
+            self.stop(f"the charge is used up: {self.charge:.3g} C of {self.limits.charge:.3g} C")
+
+    def _keep_alive(self, now: float) -> None:
+        if now - self._written > HEARTBEAT:
+            self._tell(self._given)
+        if self.reason is None and now - self._read >= READ_EVERY:
+            self._read = now
+            self._compare()
+
+    def _compare(self) -> None:
+        """Look whether the supply gives what it was told, and no more current than it may."""
+        try:
+            reading = self._supply.read()
+        except SupplyFailed as error:
+            self.stop(str(error))
+            return
+        self.measured = reading.amperes
+        if reading.amperes is not None:
+            total = float(np.maximum(reading.amperes, 0.0).sum())
+            if total > EXCESS * self.limits.current:
+                self.stop(f"the supply measures {total:.3g} A in all; the limit is {self.limits.current:.3g} A")
+        if reading.volts is not None and self.reason is None:
+            told = self.wiring.to_channels(self._given)
+            off = np.abs(reading.volts - told)
+            stray = off > ASTRAY + ASTRAY_SHARE * np.abs(told)
+            # Once may be a reading between two voltages.
+            self._strays = self._strays + 1 if stray.any() else 0
+            if self._strays > 1:
+                k = int(np.argmax(off))
+                self.stop(f"channel {k} has {reading.volts[k]:.3g} V where it was told {told[k]:.3g} V")
+
+    # -- the device
+
+    def _tell(self, voltages: Floats) -> None:
+        """Write `voltages` [V], (e,); a supply that fails stops everything. Called with the lock held."""
+        self._count(self._clock.now())
+        if self.reason is not None:
+            return
+        try:
+            self._supply.write(self.wiring.to_channels(voltages))
+        except SupplyFailed as error:
+            self.stop(str(error))
+            return
+        self._given, self._written = voltages, self._clock.now()
+        if self.reason is not None:  # stopped while the device was written to
+            self._zero()
+
+    def _zero(self) -> None:
+        """All electrodes at zero volts. A device that does not obey has a watchdog of its own."""
+        self._given = np.zeros_like(self._given)
+        try:
+            self._supply.write(self.wiring.to_channels(self._given))
+        except SupplyFailed as error:
+            self._on_event(
+                self._clock.now(), f"zero volts were not acknowledged; the device's watchdog gives them: {error}"
+            )
+        self._written = self._clock.now()
+
+
+def _odd(asked: Floats, shape: tuple[int, ...]) -> str:
+    if asked.shape != shape:
+        return f"{asked.size} voltages for {shape[0]} electrodes"
+    k = int(np.argmin(np.isfinite(asked)))
+    return f"{asked[k]} V on electrode {k}"

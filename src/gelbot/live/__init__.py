@@ -1,0 +1,1 @@
+"""`gelbot live`: the bench, or a simulated one, in a browser."""

@@ -1,0 +1,1 @@
+"""Gels to be controlled: simulated, recorded, real."""
