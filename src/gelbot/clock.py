@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from threading import Lock
 from typing import Protocol
 
 
@@ -52,3 +53,63 @@ class HandClock:
     def move(self, seconds: float) -> None:
         """Go on by `seconds`, or back: what the clock of a broken machine would do."""
         self._now += seconds
+
+
+class PacedClock:
+    """The time of a simulated gel: `pace` of its seconds to one of another clock's; None: as fast as it is waited for.
+
+    It can stand still, and then goes on where it stood. May be used from any thread.
+    """
+
+    def __init__(self, wall: Clock, pace: float | None = 1.0, running: bool = True) -> None:
+        self._wall, self._pace, self._running = wall, pace, running
+        self._base, self._since = 0.0, wall.now()
+        self._lock = Lock()
+
+    def now(self) -> float:
+        """The time [s]."""
+        with self._lock:
+            return self._now()
+
+    def wait_until(self, time_: float) -> None:
+        """Sleep until it is `time_` [s]; come back at once while the clock stands still."""
+        with self._lock:
+            if self._pace is None:
+                self._base = max(self._base, time_) if self._running else self._base
+                return
+            left = (time_ - self._now()) / self._pace if self._running else 0.0
+            until = self._wall.now() + left
+        if left > 0.0:
+            self._wall.wait_until(until)
+
+    def set_pace(self, pace: float | None) -> None:
+        """Another pace from now on."""
+        with self._lock:
+            self._stand()
+            self._pace = pace
+
+    def stop(self) -> None:
+        """Stand still."""
+        with self._lock:
+            self._stand()
+            self._running = False
+
+    def go(self) -> None:
+        """Go on."""
+        with self._lock:
+            self._stand()
+            self._running = True
+
+    def set_back(self, time_: float) -> None:
+        """Be at `time_` [s], where that is past: a simulation that cannot keep up takes its time."""
+        with self._lock:
+            self._stand()
+            self._base = min(self._base, time_)
+
+    def _now(self) -> float:
+        if not self._running or self._pace is None:
+            return self._base
+        return self._base + (self._wall.now() - self._since) * self._pace
+
+    def _stand(self) -> None:
+        self._base, self._since = self._now(), self._wall.now()

@@ -38,3 +38,10 @@ class Plant(Protocol):
         Raises `BenchStopped` when the electrodes are at zero volts and will stay there.
         """
         ...
+
+
+def as_seen(
+    centre: NDArray[np.float64], normal: NDArray[np.float64], tips: NDArray[np.float64], tip_angles: NDArray[np.float64]
+) -> Observation:
+    """Essential points from plain numbers, such as a camera's: shapes as in `points.Observation`."""
+    return Observation(centre, normal, tips, tip_angles)  # pyright: ignore[reportArgumentType] - as good as arrays

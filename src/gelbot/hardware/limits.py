@@ -72,7 +72,7 @@ class Limits:
         Each is cut to the limit and to what the slew allows; then all are made smaller by the same factor until the
         current is within its limit: the pattern stays what it was.
         """
-        near = self.slew * elapsed
+        near = self.slew * elapsed if np.isfinite(self.slew) else np.inf
         volts = np.clip(np.clip(asked, -self.voltage, self.voltage), last - near, last + near)
         total = self.total_current(volts)
         return volts * (self.current / total) if total > self.current else volts
