@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+import time as machine
 from threading import Lock
 from typing import Protocol
 
@@ -23,32 +23,32 @@ class WallClock:
     """The time since the clock was made. Setting the machine's date does not move it."""
 
     def __init__(self) -> None:
-        self._start = time.monotonic()
+        self._start = machine.monotonic()
 
     def now(self) -> float:
         """The time [s]."""
-        return time.monotonic() - self._start
+        return machine.monotonic() - self._start
 
-    def wait_until(self, time_: float) -> None:
-        """Sleep until it is `time_` [s]."""
-        left = time_ - self.now()
+    def wait_until(self, time: float) -> None:
+        """Sleep until it is `time` [s]."""
+        left = time - self.now()
         if left > 0.0:
-            time.sleep(left)
+            machine.sleep(left)
 
 
 class HandClock:
     """A clock that stands still but where it is waited for or moved: an hour of it takes as long as its work."""
 
-    def __init__(self, time_: float = 0.0) -> None:
-        self._now = time_
+    def __init__(self, time: float = 0.0) -> None:
+        self._now = time
 
     def now(self) -> float:
         """The time [s]."""
         return self._now
 
-    def wait_until(self, time_: float) -> None:
-        """Be at `time_` [s]."""
-        self._now = max(self._now, time_)
+    def wait_until(self, time: float) -> None:
+        """Be at `time` [s]."""
+        self._now = max(self._now, time)
 
     def move(self, seconds: float) -> None:
         """Go on by `seconds`, or back: what the clock of a broken machine would do."""
@@ -71,13 +71,13 @@ class PacedClock:
         with self._lock:
             return self._now()
 
-    def wait_until(self, time_: float) -> None:
-        """Sleep until it is `time_` [s]; come back at once while the clock stands still."""
+    def wait_until(self, time: float) -> None:
+        """Sleep until it is `time` [s]; come back at once while the clock stands still."""
         with self._lock:
             if self._pace is None:
-                self._base = max(self._base, time_) if self._running else self._base
+                self._base = max(self._base, time) if self._running else self._base
                 return
-            left = (time_ - self._now()) / self._pace if self._running else 0.0
+            left = (time - self._now()) / self._pace if self._running else 0.0
             until = self._wall.now() + left
         if left > 0.0:
             self._wall.wait_until(until)
@@ -100,11 +100,11 @@ class PacedClock:
             self._stand()
             self._running = True
 
-    def set_back(self, time_: float) -> None:
-        """Be at `time_` [s], where that is past: a simulation that cannot keep up takes its time."""
+    def set_back(self, time: float) -> None:
+        """Be at `time` [s], where that is past: a simulation that cannot keep up takes its time."""
         with self._lock:
             self._stand()
-            self._base = min(self._base, time_)
+            self._base = min(self._base, time)
 
     def _now(self) -> float:
         if not self._running or self._pace is None:

@@ -6,7 +6,7 @@ given = plant.apply(voltages)
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,8 +40,6 @@ class Plant(Protocol):
         ...
 
 
-def as_seen(
-    centre: NDArray[np.float64], normal: NDArray[np.float64], tips: NDArray[np.float64], tip_angles: NDArray[np.float64]
-) -> Observation:
-    """Essential points from plain numbers, such as a camera's: shapes as in `points.Observation`."""
-    return Observation(centre, normal, tips, tip_angles)  # pyright: ignore[reportArgumentType] - as good as arrays
+def as_seen(centre: Any, normal: Any, tips: Any, tip_angles: Any) -> Observation:
+    """Essential points from plain numbers, such as a camera's: shapes and units as in `points.Observation`."""
+    return Observation(*(np.asarray(part, np.float64) for part in (centre, normal, tips, tip_angles)))  # pyright: ignore

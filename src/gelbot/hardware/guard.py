@@ -6,16 +6,16 @@ the supply fails or measures what it should not, when it is told to stop, and wh
 program kills the guard too: then the device's own watchdog does the same.
 
     guard = Guard(supply, wiring, limits, clock, {"the control loop": Watch(0.2)})
-    with guard.on_duty():           # a thread that looks every 20 ms; or call guard.check() yourself
-        guard.arm()
-        given = guard.apply(voltages)
-        guard.stop("the user pressed the emergency stop")
+    guard.watch()                   # a thread that looks every 20 ms; or call guard.check() yourself
+    guard.arm()
+    given = guard.apply(voltages)
+    guard.stop("the user pressed the emergency stop")
+    guard.close()
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from threading import Event, Lock, RLock, Thread
 from typing import NamedTuple
 
@@ -56,6 +56,9 @@ class Watch(NamedTuple):
 class Guard:
     """Holds the `supply`; see the module. Every method may be called from any thread.
 
+    Silence is measured by `clock`; slew and charge by the `gel_clock`, which may go faster where the gel is simulated.
+    What happens is told to `on_event`, in words.
+
     `armed`: the electrodes may have voltages. `reason`: why they may not have them any more, None as long as they may.
     """
 
@@ -66,7 +69,8 @@ class Guard:
         limits: Limits,
         clock: Clock,
         watches: Mapping[str, Watch],
-        on_event: Callable[[float, str], None] = lambda time, text: None,
+        on_event: Callable[[str], None] = lambda text: None,
+        gel_clock: Clock | None = None,
     ) -> None:
         self.wiring, self.limits = wiring, limits
         self.reason: str | None = None
@@ -76,10 +80,12 @@ class Guard:
         self.measured: Floats | None = None
         self.charge = 0.0
         self._supply, self._clock, self._watches, self._on_event = supply, clock, dict(watches), on_event
+        self._gel_clock = clock if gel_clock is None else gel_clock
         self._lock, self._telling = RLock(), Lock()
         self._fed = dict.fromkeys(self._watches, clock.now())
         self._given = np.zeros(len(wiring.channel))
-        self._checked = self._written = self._applied = self._counted = self._read = clock.now()
+        self._checked = self._written = self._read = clock.now()
+        self._applied = self._counted = self._gel_clock.now()
         self._off = Event()
         self._thread: Thread | None = None
         self._strays = 0
@@ -98,7 +104,8 @@ class Guard:
                 raise BenchStopped(self.reason)
             now = self._clock.now()
             self._fed = dict.fromkeys(self._watches, now)
-            self._checked = self._applied = self._counted = now
+            self._checked = now
+            self._applied = self._counted = self._gel_clock.now()
             self.waiting_for, self.armed = None, True
 
     def rest(self) -> None:
@@ -131,9 +138,9 @@ class Guard:
         with self._lock:
             if self.reason is not None:
                 raise BenchStopped(self.reason)
-            now = self._clock.now()
             if LOOP in self._fed:
-                self._fed[LOOP] = now
+                self._fed[LOOP] = self._clock.now()
+            now = self._gel_clock.now()
             elapsed, self._applied = min(now - self._applied, STANDSTILL), now
             if not self.armed or self.waiting_for is not None:
                 return np.zeros_like(self._given)
@@ -151,7 +158,7 @@ class Guard:
             self.armed, self.waiting_for = False, None
             self._zero()
         if first:
-            self._on_event(self._clock.now(), f"stopped: {reason}")
+            self._on_event(f"stopped: {reason}")
 
     def close(self) -> None:
         """Zero volts, and let go of the supply."""
@@ -164,16 +171,11 @@ class Guard:
 
     # -- what it does by itself
 
-    @contextmanager
-    def on_duty(self) -> Iterator[Guard]:
-        """Look every `LOOK` seconds of real time, in a thread of its own; at the end zero volts and let go."""
+    def watch(self) -> None:
+        """Look every `LOOK` seconds of real time, in a thread of its own, until closed."""
         self._off.clear()
         self._thread = Thread(target=self._look, name="guard", daemon=True)
         self._thread.start()
-        try:
-            yield self
-        finally:
-            self.close()
 
     def _look(self) -> None:
         while not self._off.wait(LOOK):
@@ -198,7 +200,7 @@ class Guard:
             if self.reason is None:
                 self._watch(now)
             if self.armed:
-                self._count(now)
+                self._count()
                 self._keep_alive(now)
 
     def _watch(self, now: float) -> None:
@@ -212,12 +214,13 @@ class Guard:
             self.waiting_for = waiting
             if waiting is not None:
                 self._zero()
-                self._on_event(now, f"zero volts: waiting for {waiting}")
+                self._on_event(f"zero volts: waiting for {waiting}")
             else:
-                self._on_event(now, "all is seen again: going on")
+                self._on_event("all is seen again: going on")
 
-    def _count(self, now: float) -> None:
+    def _count(self) -> None:
         """Add up the charge, and stop when it is used up."""
+        now = self._gel_clock.now()
         self.charge += self.limits.total_current(self._given) * (now - self._counted)
         self._counted = now
         if self.charge > self.limits.charge:
@@ -256,7 +259,7 @@ class Guard:
 
     def _tell(self, voltages: Floats) -> None:
         """Write `voltages` [V], (e,); a supply that fails stops everything. Called with the lock held."""
-        self._count(self._clock.now())
+        self._count()
         if self.reason is not None:
             return
         try:
@@ -274,9 +277,7 @@ class Guard:
         try:
             self._supply.write(self.wiring.to_channels(self._given))
         except SupplyFailed as error:
-            self._on_event(
-                self._clock.now(), f"zero volts were not acknowledged; the device's watchdog gives them: {error}"
-            )
+            self._on_event(f"zero volts were not acknowledged, the device's watchdog must give them: {error}")
         self._written = self._clock.now()
 
 

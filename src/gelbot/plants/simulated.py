@@ -47,24 +47,27 @@ class SimulatedGel:
         self.state = experiment.state
         self._model = disturbed(experiment, experiment.model, self.state.positions)
         self._disturbed = time
-        self.seen = as_numpy(observe(self._model.points, self.state.positions))
+        self.seen = as_seen(*observe(self._model.points, self.state.positions))
+        # Of the last steps: how well they were solved.
+        self.report = StepReport(jnp.asarray(0), jnp.asarray(0.0), jnp.asarray(0))
+        self.steps_each_period = round(experiment.scenario.programme.control_period / self._dt)
         self._steps = 0
 
     def compile(self) -> None:
         """Compile what `advance` needs, so that the first tick takes no longer than any other."""
         dtype = self.state.positions.dtype
-        period = round(self.experiment.scenario.programme.control_period / self._dt)
-        for count in {1, period}:
-            volts = jnp.zeros(len(self._voltages()), dtype)
-            jax.block_until_ready(held(self._model, self.state, volts, jnp.asarray(self._dt, dtype), count))
+        volts, dt = jnp.zeros(len(self._voltages()), dtype), jnp.asarray(self._dt, dtype)
+        for count in {1, self.steps_each_period}:
+            # The state that comes out of a step is another one to the compiler than the first, which came out of none.
+            state = held(self._model, self.state, volts, dt, count)[0]
+            jax.block_until_ready(held(self._model, state, volts, dt, count))
 
     def advance(self, now: float) -> None:
         """Move on to the last whole time step before `now` [s]. Raises `SimulationFailed`."""
         count = int((now - self.time + SLACK) / self._dt)
-        period = round(self.experiment.scenario.programme.control_period / self._dt)
         while count > 0:
             # Two programs serve all counts.
-            many = period if count >= period else 1
+            many = self.steps_each_period if count >= self.steps_each_period else 1
             self._advance(many)
             count -= many
 
@@ -77,7 +80,7 @@ class SimulatedGel:
         residual, missed = float(report.residual), int(report.missed)
         if not (residual <= self._tolerance and missed == 0):
             raise SimulationFailed(self.time - self._began, residual, self._tolerance, np.isfinite(residual), missed)
-        self.state, self.seen = state, as_numpy(seen)
+        self.state, self.seen, self.report = state, as_seen(*seen), report
         if self.time - self._disturbed > DISTURBED_EVERY:
             self._model, self._disturbed = disturbed(self.experiment, self._model, state.positions), self.time
 
@@ -122,8 +125,3 @@ class SimulatedEye:
             tip_angles=seen.tip_angles + angle * draw(seen.tip_angles.shape),
         )
         return Sighting(time, noisy, 1.0)
-
-
-def as_numpy(seen: Observation) -> Observation:
-    """The same essential points as plain arrays of double precision."""
-    return as_seen(*(np.asarray(part, np.float64) for part in seen))

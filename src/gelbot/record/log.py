@@ -12,6 +12,7 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
+from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -54,17 +55,17 @@ DIMENSIONS = {
 class BenchLog:
     """The writer. Each line is with the system when `tick` and `event` return; `OSError` where it cannot take it.
 
-    What a failed write left of its line is taken off again.
+    What a failed write left of its line is taken off again. May be used from any thread.
     """
 
     def __init__(self, path: Path, head: Mapping[str, Any]) -> None:
         """A new log at `path`; raises `BadInput` when something stands there."""
         self.path = path
         try:
-            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | getattr(os, "O_CLOEXEC", 0))
+            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o666)
         except FileExistsError as error:
             raise BadInput("log", str(path), "a file that does not exist yet", "another --out folder") from error
-        self._length = 0
+        self._length, self._lock = 0, Lock()
         self._write({"format": FORMAT, **head})
 
     def tick(self, values: Mapping[str, Any]) -> None:
@@ -77,24 +78,26 @@ class BenchLog:
 
     def close(self) -> None:
         """No more lines."""
-        if self._file >= 0:
-            os.close(self._file)
-            self._file = -1
+        with self._lock:
+            if self._file >= 0:
+                os.close(self._file)
+                self._file = -1
 
     def _write(self, line: Mapping[str, Any]) -> None:
-        if self._file < 0:
-            return
         data = (json.dumps(line, separators=(",", ":"), allow_nan=False) + "\n").encode()
-        # Straight to the system, with no buffer of our own that a kill could lose.
-        try:
-            done = 0
-            while done < len(data):
-                done += os.write(self._file, data[done:])
-        except OSError:
-            with suppress(OSError):
-                os.ftruncate(self._file, self._length)
-            raise
-        self._length += len(data)
+        with self._lock:
+            if self._file < 0:
+                return
+            # Straight to the system, with no buffer of our own that a kill could lose.
+            try:
+                done = 0
+                while done < len(data):
+                    done += os.write(self._file, data[done:])
+            except OSError:
+                with suppress(OSError):
+                    os.ftruncate(self._file, self._length)
+                raise
+            self._length += len(data)
 
 
 def _plain(value: Any) -> Any:

@@ -10,6 +10,7 @@ from gelbot.errors import BadInput
 
 MARKS = {
     "run.zarr": "a run",
+    "bench.log": "a bench run",
     "summary.json": "a run",
     "field.json": "a field",
     "field.nc": "a field",

@@ -1,0 +1,409 @@
+"""The session behind the page: one thread that turns the loop, and what a user can do to it.
+
+Whatever happens in the loop, a driver's mistake, a lost device, a full disk, ends in the guard's stop: zero volts, one
+message, a whole log.
+"""
+
+from __future__ import annotations
+
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from threading import Thread
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelbot.bench import Decision, Driver, Tick, drive
+from gelbot.clock import WallClock
+from gelbot.errors import BadInput, BenchStopped, GelbotError
+from gelbot.live.drivers import ByHand, Programmed
+from gelbot.live.keeping import Keeping
+from gelbot.live.moment import Moment, Seen, Stage, Ticks
+from gelbot.live.ready import HAND, SERVO, Ready, make_ready, stage_of
+from gelbot.live.setups import Setup
+from gelbot.live.twin import Twin
+from gelbot.plan.templates import template
+from gelbot.points import Observation
+from gelbot.scenario.load import load, names
+
+Floats = NDArray[np.float64]
+REMEMBERED = 600
+"""Ticks whose times the page tells of: a minute of them."""
+IDLE = 0.02
+"""So long [s] the thread sleeps where there is nothing to do."""
+READY, BUILDING, RUNNING, PAUSED, STOPPED = "ready", "building", "running", "paused", "stopped"
+
+
+class Helm:
+    """Where a driver sits: it may change while the loop turns, and each counts the time from where it sat down."""
+
+    def __init__(self, name: str, driver: Driver) -> None:
+        self.name, self.driver = name, driver
+        self._since: float | None = None
+
+    def decide(self, time: float, seen: Observation) -> Decision:
+        """What the driver that sits here wants."""
+        if self._since is None:
+            self._since = time
+        return self.driver.decide(time - self._since, seen)
+
+
+class Session:
+    """A `setup` under a scenario; see `live.actions.Actions` for what a user can do.
+
+    `real`: how the simulated gel differs from the scenario that its controllers know, key=value. `folder` takes logs
+    and recordings. Made, it has built everything and waits at the beginning; `close` ends it. Raises `BadInput`.
+    """
+
+    def __init__(
+        self, setup: Setup, source: str, folder: Path, changes: Sequence[str] = (), real: Sequence[str] = ()
+    ) -> None:
+        self.setup, self.message = setup, ""
+        self._real, self._commands = tuple(real), SimpleQueue[Callable[[], None]]()
+        self._state, self._number, self._time = READY, 0, 0.0
+        self._took, self._late = deque[float](maxlen=REMEMBERED), 0
+        self._last: Tick | None = None
+        self._ticks: Iterator[Tick] | None = None
+        self._single = False
+        self._closing = False
+        self._wall = WallClock()
+        self._ready = make_ready(source, changes, self._real)
+        self.keeping = Keeping(folder)
+        self._begin(self._ready)
+        self._thread = Thread(target=self._run, name="control loop", daemon=True)
+        self._thread.start()
+
+    # -- what the page asks
+
+    def stage(self) -> Stage:
+        """What stands."""
+        return self._stage
+
+    def scenarios(self) -> list[str]:
+        """The names of the scenarios that can be chosen."""
+        own = self._ready.source
+        return names() if own in names() else [own, *names()]
+
+    def moment(self) -> Moment:
+        """The newest moment. The simulated gel is shown a period late, so that it moves smoothly between ticks."""
+        ready, twin, tick, helm, driver = self._ready, self._twin, self._last, self._helm, self._helm.driver
+        period = ready.nominal.scenario.programme.control_period
+        shape = twin.shape_at(self.setup.clock.now() - period)
+        given = self.setup.guard.given if self._guarded() else np.zeros(ready.nominal.array.count)
+        if tick is not None and self._state == RUNNING and not self._guarded():
+            given = tick.given
+        phases = ready.phases(helm.name)
+        reference = np.nan if tick is None else tick.decided.reference
+        if isinstance(driver, Programmed) and driver.reference is not None:
+            reference = driver.reference
+        return Moment(
+            number=self._number,
+            state=STOPPED if self.setup.guard.reason is not None else self._state,
+            message=twin.broken or self.message,
+            time=self._time,
+            positions=shape.positions,
+            adsorption=shape.adsorption,
+            asked=np.zeros_like(given) if tick is None else tick.decided.voltages,
+            given=given,
+            currents=self._currents(given),
+            observed=None if tick is None else _seen(tick),
+            reference=reference,
+            phase="" if tick is None else phases[min(tick.decided.phase, len(phases) - 1)],
+            controller=helm.name,
+            recording=self.keeping.recording,
+            arrows=twin.arrows(),
+            picture=self.setup.picture(),
+            ticks=self._told(),
+        )
+
+    # -- what a user does; each returns at once, but checks what it was given
+
+    def choose(self, scenario: str) -> None:
+        """Another scenario, by name or file."""
+        load(scenario)
+        self._do(lambda: self._rebuild(scenario, ()))
+
+    def change(self, changes: Mapping[str, str]) -> None:
+        """Values of the scenario, by key."""
+        kept = {change.partition("=")[0]: change for change in self._ready.changes}
+        kept.update({key: f"{key}={value}" for key, value in changes.items()})
+        load(self._ready.source, list(kept.values()))
+        self._do(lambda: self._rebuild(self._ready.source, tuple(kept.values())))
+
+    def start(self) -> None:
+        """Go, or go on."""
+        self._check_free()
+        self._do(self._go)
+
+    def step(self) -> None:
+        """One control period."""
+        self._check_free()
+        self._do(self._go_once)
+
+    def pause(self) -> None:
+        """Stand still with zero volts."""
+        self._do(self._pause)
+
+    def reset(self) -> None:
+        """Back to the beginning."""
+        self._do(lambda: self._begin(self._ready))
+
+    def emergency_stop(self, who: str) -> None:
+        """Zero volts now."""
+        self.setup.guard.stop(f"emergency stop, by {who}")
+
+    def drive_with(self, controller: str) -> None:
+        """Who drives."""
+        self._ready.driver(controller)
+        self._do(lambda: self._seat(controller))
+
+    def set_voltage(self, electrode: int, volts: float) -> None:
+        """By hand from now on: one electrode at `volts` [V]."""
+        ready = self._ready
+        limit, states = ready.nominal.scenario.supply.limit, ready.nominal.scenario.electrodes.states
+        if not 0 <= electrode < len(states):
+            raise BadInput("electrode", electrode, f"a number from 0 to {len(states) - 1}")
+        if states[electrode] != "driven":
+            raise BadInput("electrode", electrode, f"an electrode that is driven: this one is {states[electrode]}")
+        _check_volts(volts, limit)
+        self._do(lambda: self._by_hand(lambda now: _with(now, electrode, volts)))
+
+    def set_pattern(self, pattern: str, amplitude: float) -> None:
+        """By hand from now on: a named pattern with this amplitude [V]."""
+        ready = self._ready
+        place = np.array(ready.nominal.scenario.place)
+        shares = template(pattern, ready.nominal.array, place, "pattern")
+        _check_volts(amplitude, ready.nominal.scenario.supply.limit)
+        driven = np.array([state == "driven" for state in ready.nominal.scenario.electrodes.states])
+        self._do(lambda: self._by_hand(lambda now: np.where(driven, amplitude * shares, 0.0)))
+
+    def set_reference(self, height: float | None) -> None:
+        """The servo follows this height [m]; None: its own reference again."""
+        if height is not None and not (np.isfinite(height) and 0.0 <= height <= 1.0):
+            raise BadInput("reference", height, "a height from 0 to 1 m")
+        if not isinstance(self._helm.driver, Programmed) and height is not None:
+            if SERVO not in self._ready.controllers:
+                raise BadInput("reference", height, "a scenario with a servo, [programme.servo]")
+            self._do(lambda: self._seat(SERVO))
+
+        def put() -> None:
+            if isinstance(self._helm.driver, Programmed):
+                self._helm.driver.reference = height
+
+        self._do(put)
+
+    def set_pace(self, pace: float | None) -> None:
+        """Simulated seconds to one of the wall clock; None: as fast as it goes."""
+        if pace is not None and not (np.isfinite(pace) and pace > 0.0):
+            raise BadInput("pace", pace, "a number above 0, or none: as fast as it goes")
+        self.setup.set_pace(pace)
+
+    def record(self, wanted: bool) -> None:
+        """Keep, or no longer keep, the simulated gel's shape."""
+        self._do(lambda: self.keeping.record(wanted, self._ready))
+
+    def close(self) -> None:
+        """Zero volts; the log is closed, and all threads are over."""
+        self._closing = True
+        self._do(lambda: None)
+        if self._thread.is_alive():
+            self._thread.join()
+        self.setup.close()
+        self.keeping.close()
+
+    # -- the thread
+
+    def _do(self, command: Callable[[], None]) -> None:
+        self._commands.put(command)
+
+    def _run(self) -> None:
+        while not self._closing:
+            self._obey()
+            if self._state == RUNNING:
+                self._turn()
+        self.setup.guard.rest()
+
+    def _obey(self) -> None:
+        """Do what was asked; wait a little for it where nothing else is to be done."""
+        try:
+            command = self._commands.get(block=self._state != RUNNING, timeout=IDLE)
+            while True:
+                self._try(command)
+                command = self._commands.get_nowait()
+        except Empty:
+            pass
+
+    def _try(self, command: Callable[[], None]) -> None:
+        try:
+            command()
+        except (GelbotError, OSError) as error:
+            self._tell(str(error))
+        except Exception as error:
+            self._failed(error)
+
+    def _turn(self) -> None:
+        """One turn of the loop."""
+        try:
+            if self._ticks is None:
+                period = self._ready.nominal.scenario.programme.control_period
+                self._ticks = drive(
+                    self.setup.plant, self._helm, self.setup.clock, period, busy=self._wall, begun=self._time
+                )
+            self._after(next(self._ticks))
+        except BenchStopped as stop:
+            self._halt(STOPPED, stop.reason)
+        except (GelbotError, OSError) as error:
+            self.setup.guard.stop(_words(error))
+            self._halt(STOPPED, _words(error))
+        except Exception as error:  # whatever it is: zero volts first
+            self._failed(error)
+
+    def _failed(self, error: Exception) -> None:
+        reason = f"a mistake in the program: {error!r}"
+        self.setup.guard.stop(reason)
+        self.keeping.event(self._time, "".join(traceback.format_exception(error)))
+        self._halt(STOPPED, reason)
+
+    def _after(self, tick: Tick) -> None:
+        """What belongs to a tick, and may wait until the electrodes have their voltages."""
+        twin, period = self._twin, self._ready.nominal.scenario.programme.control_period
+        twin.advance(self.setup.clock.now())
+        twin.voltages = tick.given
+        self._took.append(tick.took)
+        self._late += tick.missed
+        self._last, self._number, self._time = tick, self._number + 1, tick.time + period
+        self.keeping.tick(tick, self._currents(tick.given), self.setup.guard.measured, twin)
+        self.setup.kept_up(tick.missed)
+        if self.setup.guard.reason is not None:
+            self._halt(STOPPED, self.setup.guard.reason)
+        elif self._single:
+            self._halt(PAUSED, "")
+
+    def _halt(self, state: str, message: str) -> None:
+        """No more ticks; zero volts."""
+        self._ticks, self._single = None, False
+        self.setup.stand()
+        self._twin.voltages = np.zeros_like(self._twin.voltages)
+        self._state = state
+        if message:
+            self.message = message
+
+    def _tell(self, text: str) -> None:
+        """For the user and for the log. The guard calls it too, from its own thread."""
+        self.message = text
+        self.keeping.event(self._time, text)
+
+    def _told(self) -> Ticks:
+        took = np.array(self._took) if self._took else np.zeros(1)
+        return Ticks(self._number, self._late, *(float(q) for q in np.percentile(took, [50, 99, 100])))
+
+    # -- commands, in the thread
+
+    def _begin(self, ready: Ready, controller: str | None = None) -> None:
+        """Everything at its beginning."""
+        self._halt_if_any()
+        self.setup.begin(ready, self._tell)
+        name = controller or (self._helm.name if hasattr(self, "_helm") else ready.controllers[1])
+        name = name if name in ready.controllers else ready.controllers[1]
+        ready.warm(name, self.setup.first_sight())
+        self._twin = Twin(ready.nominal, self.setup.clock.now())
+        self._twin.gel.compile()
+        self._twin.arrows()
+        self._stage = stage_of(ready, self.setup.words, self.setup.has_camera)
+        self._ready, self._helm = ready, Helm(name, ready.driver(name))
+        self._last, self._number, self._time, self._late = None, 0, 0.0, 0
+        self._took.clear()
+        self.keeping.begin(ready, self.setup.words)
+        self._state, self.message = READY, ""
+
+    def _halt_if_any(self) -> None:
+        if hasattr(self, "_twin"):
+            self._halt(PAUSED, "")
+
+    def _rebuild(self, source: str, changes: tuple[str, ...]) -> None:
+        self._halt(BUILDING, "building")
+        try:
+            self._begin(make_ready(source, changes, self._real, self._ready))
+        except GelbotError as error:
+            # What stood before stands again.
+            self._begin(self._ready)
+            self._tell(str(error))
+
+    def _check_free(self) -> None:
+        if self.setup.guard.reason is not None:
+            raise BadInput("start", f"stopped: {self.setup.guard.reason}", "a reset first")
+
+    def _go(self) -> None:
+        if self._state != RUNNING:
+            self.setup.go()
+            self.keeping.open()
+            self.keeping.event(self._time, f"started, driven by: {self._helm.name}")
+            self._state, self.message = RUNNING, ""
+
+    def _go_once(self) -> None:
+        if self._state != RUNNING:
+            self._go()
+            self._single = True
+
+    def _pause(self) -> None:
+        if self._state == RUNNING:
+            self._halt(PAUSED, "")
+            self.keeping.event(self._time, "paused")
+
+    def _seat(self, name: str) -> None:
+        if name == self._helm.name:
+            return
+        running = self._state == RUNNING
+        sight = self._last.seen.observation if self._last is not None else self.setup.first_sight()
+        if running:
+            # Compiling takes longer than the guard waits.
+            self._halt(PAUSED, "")
+        self._ready.warm(name, sight)
+        self._helm = Helm(name, self._ready.driver(name))
+        self.keeping.event(self._time, f"driven by: {name}")
+        if running:
+            self._go()
+
+    def _by_hand(self, changed: Callable[[Floats], Floats]) -> None:
+        driver = self._helm.driver
+        if not isinstance(driver, ByHand):
+            now = self.setup.guard.given if self._guarded() else np.zeros(self._ready.nominal.array.count)
+            driver = ByHand(len(now))
+            driver.voltages = now
+            self._helm = Helm(HAND, driver)
+            if self._state == RUNNING:
+                self._ticks = None
+            self.keeping.event(self._time, f"driven by: {HAND}")
+        driver.voltages = changed(driver.voltages)
+
+    def _guarded(self) -> bool:
+        return len(self.setup.guard.given) == self._ready.nominal.array.count
+
+    def _currents(self, given: Floats) -> Floats:
+        return self._ready.nominal.field.conductance @ (self._ready.nominal.connection @ given)
+
+
+def _with(voltages: Floats, electrode: int, volts: float) -> Floats:
+    voltages = voltages.copy()
+    voltages[electrode] = volts
+    return voltages
+
+
+def _check_volts(volts: float, limit: float) -> None:
+    if not (np.isfinite(volts) and abs(volts) <= limit):
+        raise BadInput("voltage", f"{volts:g} V", f"from {-limit:g} V to {limit:g} V, the supply's limit")
+
+
+def _seen(tick: Tick) -> Seen:
+    seen = tick.seen.observation
+    centre, tips, normal = (np.asarray(part, np.float64) for part in (seen.centre, seen.tips, seen.normal))
+    return Seen(centre, tips, normal, tick.seen.confidence)
+
+
+def _words(error: Exception) -> str:
+    if isinstance(error, OSError):
+        return f"{error.filename or 'the log'} cannot be written: {error.strerror or error}"
+    return str(error)

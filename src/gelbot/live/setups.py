@@ -1,0 +1,182 @@
+"""The three plants as the session handles them: each with its guard and its clock, at its beginning, going,
+standing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelbot.clock import Clock, PacedClock, WallClock
+from gelbot.hardware.guard import Guard
+from gelbot.hardware.limits import Limits, straight
+from gelbot.hardware.soft_supply import SoftSupply
+from gelbot.live.ready import Ready
+from gelbot.plant import Plant, Sighting
+from gelbot.plants.build import Simulated, simulated
+from gelbot.plants.played import PlayedPlant, recording
+from gelbot.points import Observation
+
+Tell = Callable[[str], None]
+
+
+class Setup(Protocol):
+    """A plant with what belongs to it. `words`: what it is, for the page."""
+
+    words: str
+    has_camera: bool
+    clock: Clock
+    guard: Guard
+    plant: Plant
+
+    def begin(self, ready: Ready, tell: Tell) -> None:
+        """Put a scenario under it, at its beginning, all electrodes at zero volts. Raises `GelbotError`."""
+        ...
+
+    def go(self) -> None:
+        """Let its time go on, and arm its guard. Raises `BenchStopped`."""
+        ...
+
+    def stand(self) -> None:
+        """Zero volts; what is simulated stands still."""
+        ...
+
+    def kept_up(self, missed: int) -> None:
+        """Told after each tick how many before it were `missed`."""
+        ...
+
+    def set_pace(self, pace: float | None) -> None:
+        """Seconds of a simulated gel to one of the wall clock; None: as fast as it goes."""
+        ...
+
+    def first_sight(self) -> Observation:
+        """What is seen at the beginning."""
+        ...
+
+    def picture(self) -> NDArray[np.uint8] | None:
+        """The newest picture of the camera, None without one."""
+        ...
+
+    def close(self) -> None:
+        """Zero volts, and let go of everything."""
+        ...
+
+
+class SimulatedSetup:
+    """A simulated gel, which may differ from what its controllers know."""
+
+    has_camera = False
+
+    def __init__(self, pace: float | None = 1.0, seed: int = 0) -> None:
+        self.words = "simulated gel"
+        self._wall, self._seed = WallClock(), seed
+        self.clock = PacedClock(self._wall, pace, running=False)
+        self.guard, self.plant = _nobody(self._wall), _Nothing()
+        self.inside: Simulated | None = None
+
+    def begin(self, ready: Ready, tell: Tell) -> None:
+        """A new gel at its beginning."""
+        self.guard.close()
+        self.inside = simulated(ready.nominal, ready.real, self.clock, self._wall, self._seed, tell)
+        self.inside.gel.compile()
+        self.plant, self.guard = self.inside.plant, self.inside.plant.guard
+        self.guard.watch()
+        self.words = "simulated gel" if ready.real is ready.nominal else "simulated gel, not as the model"
+
+    def go(self) -> None:
+        """Let it go on."""
+        self.clock.go()
+        self.guard.arm()
+
+    def stand(self) -> None:
+        """Zero volts; it stands still."""
+        self.guard.rest()
+        self.clock.stop()
+
+    def kept_up(self, missed: int) -> None:
+        """A simulation that cannot keep up takes its time."""
+        if missed and self.inside is not None:
+            self.clock.set_back(self.inside.gel.time)
+
+    def set_pace(self, pace: float | None) -> None:
+        """How fast it goes."""
+        self.clock.set_pace(pace)
+
+    def first_sight(self) -> Observation:
+        """What is seen of it now."""
+        return self.plant.observe().observation
+
+    def picture(self) -> NDArray[np.uint8] | None:
+        """It has no camera."""
+        return None
+
+    def close(self) -> None:
+        """Zero volts, for good."""
+        self.guard.close()
+
+
+class PlayedSetup:
+    """A recorded run or log. Voltages do nothing; its guard has nothing to guard, but stops it like any other."""
+
+    has_camera = False
+
+    def __init__(self, path: Path, pace: float | None = 1.0) -> None:
+        self.words = f"recording {path}"
+        self._recording, self._wall = recording(path), WallClock()
+        self.clock = PacedClock(self._wall, pace, running=False)
+        self.guard = _nobody(self._wall)
+        self.plant = PlayedPlant(self._recording, self.clock)
+
+    def begin(self, ready: Ready, tell: Tell) -> None:
+        """Back to its beginning."""
+        self.guard.close()
+        self.guard = _nobody(self._wall, tell)
+        self.guard.watch()
+        self.plant = PlayedPlant(self._recording, self.clock)
+
+    def go(self) -> None:
+        """Play."""
+        self.clock.go()
+        self.guard.arm()
+
+    def stand(self) -> None:
+        """Stand still."""
+        self.guard.rest()
+        self.clock.stop()
+
+    def kept_up(self, missed: int) -> None:
+        """It always does."""
+
+    def set_pace(self, pace: float | None) -> None:
+        """How fast it is played."""
+        self.clock.set_pace(pace)
+
+    def first_sight(self) -> Observation:
+        """What was seen first."""
+        return self.plant.observe().observation
+
+    def picture(self) -> NDArray[np.uint8] | None:
+        """It kept none."""
+        return None
+
+    def close(self) -> None:
+        """Let go."""
+        self.guard.close()
+
+
+class _Nothing:
+    """The plant before there is one."""
+
+    def observe(self) -> Sighting:
+        raise RuntimeError("no scenario yet")
+
+    def apply(self, voltages: NDArray[np.float64]) -> NDArray[np.float64]:
+        raise RuntimeError("no scenario yet")
+
+
+def _nobody(clock: Clock, tell: Tell = lambda text: None) -> Guard:
+    """A guard over a supply that feeds nothing."""
+    return Guard(SoftSupply(1, clock=clock), straight(1), Limits(0.0), clock, {}, tell)
