@@ -39,6 +39,8 @@ EXCESS = 1.1
 """A measured current may be so many times the limit: the amplifier's own errors."""
 ASTRAY, ASTRAY_SHARE = 0.2, 0.05
 """A measured voltage may be off by this [V] plus this share of it."""
+EARLY = 1e-6
+"""Times that are added up are off by less than this [s]."""
 LOOP = "the control loop"
 CAMERA = "the camera"
 
@@ -204,7 +206,7 @@ class Guard:
                 self._keep_alive(now)
 
     def _watch(self, now: float) -> None:
-        silent = {name: now - fed for name, fed in self._fed.items() if now - fed > self._watches[name].limit}
+        silent = {name: now - fed for name, fed in self._fed.items() if now - fed > self._watches[name].limit + EARLY}
         for name, silence in silent.items():
             if silence > self._watches[name].patience:
                 self.stop(f"{name} has been silent for {silence:.2g} s")
