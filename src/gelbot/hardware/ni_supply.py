@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gelbot.errors import BadInput, SupplyFailed
 from gelbot.hardware.asked_volts import checked_volts
+from gelbot.hardware.driver_error import first_line
 from gelbot.hardware.supply import Reading
 
 
@@ -72,7 +73,7 @@ class NiSupply:
         except Exception as error:  # the driver's own, and what its absence raises
             self._let_go()
             advice = "the driver NI-DAQmx, the card's name in NI MAX, its channels, other programs that hold it"
-            raise SupplyFailed(self.name, f"it cannot be opened: {_first_line(error)}", advice) from error
+            raise SupplyFailed(self.name, f"it cannot be opened: {first_line(error)}", advice) from error
 
     def _start_watchdog(self, device: str, outputs: list[str], watchdog: float) -> None:
         """Let the card go to 0 V on its own, if it can; there is no other way to ask it than to try."""
@@ -87,7 +88,7 @@ class NiSupply:
             guard.cfg_watchdog_ao_expir_states([AOExpirationState(output, 0.0, volts) for output in outputs])
             guard.start()
         except Exception as error:  # a card without one says so in a code of its own
-            self.without_watchdog = _first_line(error)
+            self.without_watchdog = first_line(error)
             if guard is not None:
                 with contextlib.suppress(Exception):
                     guard.close()
@@ -111,7 +112,7 @@ class NiSupply:
                 asked.tolist() if asked.size > 1 else float(asked[0]), auto_start=True, timeout=self._timeout
             )
         except Exception as error:  # the driver's own
-            what = f"the card did not take its voltages: {_first_line(error)}"
+            what = f"the card did not take its voltages: {first_line(error)}"
             raise SupplyFailed(self.name, what, "its cable and power, NI MAX, other programs that use it") from error
 
     def read(self) -> Reading:
@@ -132,7 +133,3 @@ class NiSupply:
                 with contextlib.suppress(Exception):
                     task.close()
         self._task = self._guard = None
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).strip() or type(error).__name__).partition("\n")[0]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gelbot.errors import BadInput, SupplyFailed
 from gelbot.hardware.asked_volts import checked_volts
+from gelbot.hardware.driver_error import first_line
 from gelbot.hardware.scpi_profile import ScpiProfile, load_profile
 from gelbot.hardware.supply import Reading
 
@@ -65,7 +66,7 @@ class ScpiSupply:
         low, high = self.profile.bounds()
         self.lowest, self.highest = np.array(low), np.array(high)
         self._timeout = timeout
-        self._unsure = False
+        self._known = self._unsure = False
         self._session: Session | None = session or _open_session(
             resource, self.name, visa_library, timeout, self.profile
         )
@@ -80,9 +81,8 @@ class ScpiSupply:
         identity = self._query(self.profile.identify, until)
         if not re.search(self.profile.identity, identity):
             what = f"it says it is {identity[:80]!r}; the profile is for {self.profile.identity!r}"
-            # It is not ours to switch off.
-            self._let_go()
             raise SupplyFailed(self.name, what, "another resource, or the profile of this instrument")
+        self._known = True
         for command in self.profile.init:
             self._send(command, until)
         self._check("init", until)
@@ -121,6 +121,8 @@ class ScpiSupply:
             return
         zero = self.profile.set if self.profile.zero is None else self.profile.zero
         commands = [zero, *([self.profile.apply] if self.profile.apply else []), *self.profile.output_off]
+        if not self._known:
+            commands = []  # an instrument that is not the one meant is not ours to switch off
         for command in commands:
             # Each has its share of the time: that one fails does not take the others' chance.
             with contextlib.suppress(Exception):
@@ -188,7 +190,7 @@ class ScpiSupply:
             return act(self._session)
         except Exception as error:  # each VISA library raises what it likes
             self._unsure = True
-            what = late if "TMO" in str(error) else f"{message} failed: {_first_line(error)}"
+            what = late if "TMO" in str(error) else f"{message} failed: {first_line(error)}"
             raise SupplyFailed(self.name, what, advice) from error
 
 
@@ -200,13 +202,13 @@ def _open_session(resource: str, name: str, visa_library: str, timeout: float, p
     try:
         manager = pyvisa.ResourceManager(visa_library)
     except Exception as error:  # each VISA library raises what it likes
-        allowed = f'a VISA library that can be loaded ({_first_line(error)}), "@py" for the one in Python'
+        allowed = f'a VISA library that can be loaded ({first_line(error)}), "@py" for the one in Python'
         raise BadInput("visa_library", visa_library, allowed, 'pip install "gelbot[hardware]"') from error
     try:
         session: Any = manager.open_resource(resource, open_timeout=round(1e3 * timeout))
     except Exception as error:
         advice = "its address (pyvisa-shell, list), its cable and power, other programs that hold it"
-        raise SupplyFailed(name, f"it cannot be opened: {_first_line(error)}", advice) from error
+        raise SupplyFailed(name, f"it cannot be opened: {first_line(error)}", advice) from error
     if not hasattr(session, "write_raw"):
         session.close()
         raise BadInput("resource", resource, "an instrument that takes messages, such as TCPIP0::HOST::INSTR")
@@ -214,7 +216,3 @@ def _open_session(resource: str, name: str, visa_library: str, timeout: float, p
     if profile.baud is not None and resource.upper().startswith("ASRL"):
         session.baud_rate = profile.baud
     return session
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).strip() or type(error).__name__).partition("\n")[0]

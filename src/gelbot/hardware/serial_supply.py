@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import select
+import threading
 import time
 from typing import TYPE_CHECKING
 
@@ -11,6 +14,7 @@ from numpy.typing import NDArray
 
 from gelbot.errors import BadInput, SupplyFailed
 from gelbot.hardware.asked_volts import checked_volts
+from gelbot.hardware.driver_error import first_line
 from gelbot.hardware.line_protocol import (
     HIGHEST_NUMBER,
     LONGEST_ANSWER,
@@ -79,12 +83,13 @@ class SerialSupply:
                 port, baudrate=baud, timeout=timeout, write_timeout=timeout, exclusive=True
             )
         except (ValueError, OSError) as error:
-            what = f"the port cannot be opened: {_first_line(error)}"
+            what = f"the port cannot be opened: {first_line(error)}"
             advice = "its path (python -m serial.tools.list_ports), its cable, your right to open it, other programs"
             raise SupplyFailed(self.name, what, advice) from error
         try:
             identity = self._identify(patience)
             self._check(identity, channel_count, watchdog)
+            self._note_expired(self._ask("Z"))  # whatever a host before this one has left
         except BaseException:
             self._let_go()
             raise
@@ -114,9 +119,10 @@ class SerialSupply:
         return Reading(np.array(back.millivolts) * 1e-3, amperes)
 
     def close(self) -> None:
-        """Zero volts, then let go of the port. Never raises; over within the timeout."""
+        """Zero volts, then let go of the port. Never raises; over within twice the timeout."""
         if self._port is None:
             return
+        self._forget("W")
         with contextlib.suppress(Exception):
             self._ask("Z")
         self._let_go()
@@ -174,14 +180,14 @@ class SerialSupply:
                 self._send(b"\n" + line, until)
                 answer = self._answer(until)
         except GarbledLine as error:
-            self._forget()
+            self._forget(command)
             advice = "the baud rate, the cable's length and shield, the device's ground"
             raise SupplyFailed(self.name, f"two answers to {command} were garbled: {error.what}", advice) from error
         except OSError as error:
-            self._forget()
+            self._forget(command)
             raise self._gone(command, error) from error
         if answer is None:
-            self._forget()
+            self._forget(command)
             what = f"no answer to {command} within {self._timeout:g} s"
             raise SupplyFailed(self.name, what, "whether it has power, its firmware runs, and the baud rate is right")
         if not answer.done:
@@ -189,18 +195,25 @@ class SerialSupply:
             raise SupplyFailed(self.name, what, "the device's range and firmware")
         return answer
 
-    def _forget(self) -> None:
-        """Take back what is still on its way: voltages must not come late, from a device that wakes up."""
-        assert self._port is not None
-        with contextlib.suppress(Exception):
-            self._port.reset_output_buffer()
+    def _forget(self, command: str) -> None:
+        """Take back what has not been sent yet: voltages must not come late. A zero may."""
+        if command != "Z" and self._port is not None:
+            with contextlib.suppress(Exception):
+                self._port.reset_output_buffer()
 
     def _send(self, line: bytes, until: float) -> None:
         assert self._port is not None
         left = until - time.monotonic()
-        if left > 0.0:
-            self._port.write_timeout = left
-            self._port.write(line)
+        if left <= 0.0:
+            return
+        if os.name == "posix":
+            # pyserial would wait for room in a full line by trying without a pause.
+            _, room, _ = select.select([], [self._port.fileno()], [], left)
+            left = until - time.monotonic()
+            if not room or left <= 0.0:
+                raise TimeoutError
+        self._port.write_timeout = left
+        self._port.write(line)
 
     def _answer(self, until: float) -> Answer | None:
         """The answer to the present request, or None when there is none before `until`. Raises `GarbledLine`."""
@@ -218,11 +231,12 @@ class SerialSupply:
             if len(self._received) > LONGEST_ANSWER:
                 self._received = b""
                 raise GarbledLine(line, "it has no end")
-            left = until - time.monotonic()
-            if left <= 0.0:
+            # What is here already counts, however late it is looked at: a busy host is no fault of the device.
+            left, waiting = until - time.monotonic(), self._port.in_waiting
+            if left <= 0.0 and not waiting:
                 return None
-            self._port.timeout = left
-            self._received += self._port.read(self._port.in_waiting or 1)
+            self._port.timeout = max(left, 0.0)
+            self._received += self._port.read(waiting or 1)
 
     def _note_expired(self, answer: Answer) -> None:
         if len(answer.words) == 1 and answer.words[0].isdigit():
@@ -235,20 +249,21 @@ class SerialSupply:
     def _gone(self, command: str, error: Exception) -> SupplyFailed:
         import serial
 
-        if isinstance(error, serial.SerialTimeoutException):
+        if isinstance(error, serial.SerialTimeoutException | TimeoutError):
             what = f"it did not take in {command} within {self._timeout:g} s"
             return SupplyFailed(self.name, what, "whether its firmware runs; switch its power off and on")
-        what = f"the port failed at {command}: {_first_line(error)}"
+        what = f"the port failed at {command}: {first_line(error)}"
         return SupplyFailed(self.name, what, "its cable and its power, then open it anew")
 
     def _let_go(self) -> None:
         port, self._port = self._port, None
         if port is not None:
-            with contextlib.suppress(Exception):
-                port.reset_output_buffer()  # else closing waits until a hung device has taken it in
-            with contextlib.suppress(Exception):
-                port.close()
+            # The system may wait half a minute until a hung device has taken in the zero: not at the caller's cost.
+            closer = threading.Thread(target=_close, args=(port,), name="closing a serial port", daemon=True)
+            closer.start()
+            closer.join(self._timeout)
 
 
-def _first_line(error: Exception) -> str:
-    return str(error).strip().partition("\n")[0]
+def _close(port: Serial) -> None:
+    with contextlib.suppress(Exception):
+        port.close()
