@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,7 +18,8 @@ class Stage:
     its corners (3, k), the plate's rim in order; `electrode_names`; `limit` [V] of the supply; `floor_depth`;
     `obstacles` (m, 3, 3) triangles (triangle, corner, space); `patterns`: names of voltage patterns that can be asked
     for; `controllers`: who can drive; `plant`: words for where the observed gel comes from; `has_camera`. `settings`:
-    keys of the scenario that the page offers to change, with their present text ("body.width": "15 mm").
+    keys of the scenario that the page offers to change, with their present text ("body.width": "15 mm");
+    `water_height`: of the free surface above z = 0, NaN where there is none.
     """
 
     name: str
@@ -35,6 +37,7 @@ class Stage:
     has_camera: bool
     control_period: float
     settings: dict[str, str]
+    water_height: float = math.nan
 
 
 class Seen(NamedTuple):
@@ -46,7 +49,8 @@ class Seen(NamedTuple):
     confidence: float
 
 
-class Ticks(NamedTuple):
+@dataclass(frozen=True)
+class Ticks:
     """How the loop keeps its time: ticks so far, those that were `late`, and of the last minute's ticks the time [s]
     that they took: median, 99 %, longest."""
 

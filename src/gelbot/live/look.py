@@ -1,0 +1,43 @@
+"""How the page looks: its style sheet, and the few lines of script that viser has no setting for."""
+
+from __future__ import annotations
+
+
+def style(stop: str) -> str:
+    """The style sheet; `stop`: the id of the button that stops, which stays in sight however far one scrolls."""
+    return f"""<style>
+.gelbot-status {{ padding: .1em .8em .4em; font-size: .85em; line-height: 1.45; }}
+.gelbot-state {{ color: #fff; border-radius: .7em; padding: .05em .6em; margin-right: .35em; font-size: .92em; }}
+.gelbot-small, .gelbot-hint {{ color: #777; font-size: .9em; }}
+.gelbot-hint {{ padding: 0 .9em .5em; font-size: .78em; line-height: 1.35; }}
+.gelbot-record {{ color: #c92a2a; margin-left: .6em; }}
+.gelbot-message {{ color: #8a4b00; background: #fff6e5; border-radius: .3em; padding: .15em .5em; margin-top: .25em; }}
+.gelbot-title span {{ white-space: nowrap; }}
+button[data-size="compact-xs"] {{ padding-inline: 3px !important; }}
+button[style*="gray-filled"] {{ background: #e9edf1 !important; color: #333 !important; font-weight: 500; }}
+button[style*="gray-filled"]:hover {{ background: #dde3e9 !important; }}
+.gelbot-error {{ color: #a01818; background: #fdecec; border-radius: .3em; padding: .2em .5em; margin: 0 .8em .5em;
+  font-size: .8em; overflow-wrap: anywhere; }}
+.gelbot-title {{ padding: .3em .9em .1em; font-size: .8em; color: #333; }}
+.gelbot-seat {{ padding: 0 .9em .3em; font-size: .8em; color: #555; }}
+div:has(> button[id="{stop}"]) {{ position: sticky; top: 0; z-index: 30; background: #fff; padding-top: .35em; }}
+button[id="{stop}"] {{ height: 3.1em !important; background: #d6201f !important; letter-spacing: .06em;
+  font-weight: 700; box-shadow: 0 1px 4px rgba(160, 0, 0, .35); }}
+button[id="{stop}"]:hover {{ background: #b71312 !important; }}
+</style>"""
+
+
+SCRIPT = """
+document.title = "gelbot";
+if (!window.gelbotEscape) {
+  window.gelbotEscape = true;
+  window.addEventListener("keydown", (event) => {
+    const at = document.activeElement;
+    if (event.key !== "Escape" || !at || !["INPUT", "TEXTAREA", "SELECT"].includes(at.tagName)) return;
+    at.blur();
+    const again = { key: "Escape", code: "Escape", bubbles: true };
+    document.documentElement.dispatchEvent(new KeyboardEvent("keydown", again));
+  }, true);
+}
+"""
+"""The name of the window; and the stop by key, also while a text is written, where viser's own keys are silent."""

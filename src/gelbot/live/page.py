@@ -1,0 +1,207 @@
+"""The page of `gelbot live`: what a session does, in a browser, and what a user does there, to the session."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import viser
+from viser import _messages as messages
+
+from gelbot.live import look
+from gelbot.live.actions import Actions
+from gelbot.live.moment import Moment, Stage
+from gelbot.live.panels import Panel, status
+from gelbot.live.plots import Plots
+from gelbot.live.scene import Scene, on_each
+from gelbot.live.seat import Seat
+from gelbot.live.seats import Seats
+from gelbot.live.shared import Permit
+from gelbot.live.view import FIELD_OF_VIEW, MM, on_screen, view
+
+RATE = 30.0
+"""Pictures a second."""
+SLOW = {"picture": 3, "status": 6, "plots": 8}
+"""Every how many pictures the rest is sent."""
+LEFT, RIGHT = 280.0, 310.0
+"""Widths of the panels [px]."""
+
+
+class Page:
+    """Shows `actions` in all browsers of `server`, from a thread of its own, until `close`."""
+
+    def __init__(self, server: viser.ViserServer, actions: Actions) -> None:
+        self._server, self._actions = server, actions
+        self.seat = Seat()
+        self._permit = Permit(self.seat)
+        self.pictures = 0
+        """Pictures sent so far: those in which something had moved."""
+        self._closing = False
+        self._build_frame()
+        self._seats = Seats(self.seat)
+        self._stage: Stage = actions.stage()
+        self._compose()
+        server.on_client_connect(self._come)
+        server.on_client_disconnect(self._go)
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._loop, name="gelbot page", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Show nothing more. A session that runs goes on: whoever closes the page on purpose stops it on purpose."""
+        self._closing = True
+        self._done.set()
+        self._thread.join()
+
+    def _build_frame(self) -> None:
+        """What stays when the scenario changes."""
+        server, gui = self._server, self._server.gui
+        server.scene.set_up_direction("+z")
+        # Without shadows and without the reflections of surroundings that are not there: three times as many pictures
+        # where a processor draws them.
+        server.scene.configure_default_lights(cast_shadow=False)
+        server.scene.configure_environment_map(None)
+        server.scene.add_light_hemisphere(
+            "/light", intensity=1.6, sky_color=(255, 255, 255), ground_color=(215, 215, 210)
+        )
+        server.initial_camera.fov = float(FIELD_OF_VIEW)
+        gui.configure_theme(control_width="small", show_logo=False, show_share_button=False, brand_color=(0, 90, 150))
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(RIGHT)
+        self._status = gui.add_html("", order=0.1)
+        stop = gui.add_button("EMERGENCY STOP", color="red", order=0.2, hint="Zero volts at once. Key: Escape")
+        stop.on_click(self._stop_pressed)
+        gui.add_html(look.style(stop._impl.uuid), order=0.0)
+        command = gui.add_command("Emergency stop", description="Zero volts at once", hotkey="escape")
+        command.on_trigger(self._stop_pressed)
+        server._websock_server.queue_message(messages.RunJavascriptMessage(source=look.SCRIPT))
+        left = gui.add_panel()
+        self._tab = left.add_tab("measured")
+        left.dock_left()
+        left.set_width(LEFT)
+        server.scene.on_rect_select(modifier="shift")(self._paint_inside)  # pyright: ignore[reportArgumentType]
+
+    def _compose(self) -> None:
+        """Draw the stage and its controls."""
+        self._scene = Scene(self._server.scene, self._stage)
+        on_each(self._scene.electrodes, self._click)
+        self._scene.reference.handle.on_update(self._drag)
+        self._panel = Panel(self._server.gui, self._permit, self._actions, self._look)
+        with self._tab:
+            self._plots = Plots(self._server.gui, self._stage)
+        first = view(self._stage, "body")
+        self._server.initial_camera.position, self._server.initial_camera.look_at = first.position, first.target
+
+    def _recompose(self, stage: Stage) -> None:
+        """Another stage: everything that belonged to the old one goes."""
+        is_other = stage.name != self._stage.name
+        self._stage = stage
+        pace = self._panel.pace.value
+        for part in (self._plots, self._panel, self._scene):
+            part.remove()
+        self._compose()
+        self._panel.pace.put(pace)
+        if is_other:
+            for client in self._server.get_clients().values():
+                self._look(client, "body")
+
+    def _loop(self) -> None:
+        due, number = time.perf_counter(), 0
+        shown: Moment | None = None
+        while not self._done.is_set():
+            stage = self._actions.stage()
+            with self._server.atomic() if stage is not self._stage else contextlib.nullcontext():
+                if stage is not self._stage:
+                    self._recompose(stage)
+                    shown = None
+            moment = self._actions.moment()
+            self._show(moment, number, moment is not shown)
+            shown, number = moment, number + 1
+            due = max(due + 1.0 / RATE, time.perf_counter() - 1.0 / RATE)
+            self._done.wait(max(0.0, due - time.perf_counter()))
+
+    def _show(self, moment: Moment, number: int, is_new: bool) -> None:
+        if is_new:
+            self._plots.keep(moment)
+        if not self._server.get_clients():
+            return
+        scene, panel = self._scene, self._panel
+        scene.side, scene.show_arrows = panel.side.value, panel.arrows.value
+        with self._server.atomic():
+            self.pictures += scene.update(moment, time.perf_counter()) > 0
+        if number % SLOW["picture"] == 0:
+            self._plots.show_picture(moment.picture)
+        if number % SLOW["status"] == 0:
+            self._status.content = status(moment)
+            panel.update(moment)
+            scene.show_labels(panel.labels.value)
+        if number % SLOW["plots"] == 0:
+            self._plots.update()
+
+    async def _come(self, client: viser.ClientHandle) -> None:
+        self.seat.arrive(client.client_id)
+        self._seats.seat_at(client)
+
+    async def _go(self, client: viser.ClientHandle) -> None:
+        # The volts first, then the rest.
+        drove = self.seat.leave(client.client_id)
+        if drove and not self._closing and self._actions.moment().state == "running":
+            self._actions.emergency_stop("the driving browser was closed")
+        self._permit.forget(client.client_id)
+        self._seats.take_from(client)
+
+    async def _stop_pressed(self, event: viser.GuiEvent | viser.CommandEvent) -> None:
+        if event.client_id is not None:
+            self._actions.emergency_stop(f"browser {event.client_id + 1}")
+
+    def _click(self, electrode: int, client: viser.ClientHandle) -> None:
+        """The brush's volts on a plate that was clicked, none on one that has them."""
+        moment, brush = self._actions.moment(), self._panel.brush.value
+        has = moment.controller == "by hand" and abs(float(moment.asked[electrode]) - brush) < 1e-6
+        self._permit.do(client, lambda: self._actions.set_voltage(electrode, 0.0 if has else brush))
+
+    async def _paint_inside(self, event: viser.SceneRectSelectEvent) -> None:
+        """The brush's volts on all plates whose middle lies in the rectangle."""
+        places = on_screen(event.client.camera, self._scene.centres())
+        low, high = np.array(event.screen_min)[:, None], np.array(event.screen_max)[:, None]
+        inside = np.flatnonzero(np.all((places >= low) & (places <= high), axis=0))
+
+        def paint() -> None:
+            for electrode in inside.tolist():
+                self._actions.set_voltage(electrode, self._panel.brush.value)
+
+        self._permit.do(event.client, paint)
+
+    async def _drag(self, event: viser.TransformControlsEvent) -> None:
+        """The reference is dragged by its handle."""
+        reference, client = self._scene.reference, event.client
+        if client is None:
+            return
+        height = round(max(0.0, float(event.target.position[2])), 2)
+        moves = self.seat.drives(client.client_id) and event.phase != "end"
+        reference.dragged = moves
+        if event.phase == "start":
+            return
+        if event.phase == "end" or not self._permit.do(client, lambda: self._actions.set_reference(height / MM)):
+            reference.stand()
+        else:
+            self._panel.reference.put(height)
+
+    def _look(self, client: viser.ClientHandle, name: str) -> None:
+        seen = view(self._stage, name)
+        with client.atomic():
+            client.camera.position, client.camera.look_at = seen.position, seen.target
+            client.camera.up_direction = (0.0, 0.0, 1.0)
+
+
+@contextlib.contextmanager
+def shown(server: viser.ViserServer, actions: Actions) -> Iterator[Page]:
+    """A page for the time of a block."""
+    page = Page(server, actions)
+    try:
+        yield page
+    finally:
+        page.close()

@@ -1,0 +1,176 @@
+"""The controls on the right: go and pause, who drives, volts by hand, the reference, what is shown, the scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from html import escape
+from typing import Any
+
+import viser
+
+from gelbot.live.actions import Actions
+from gelbot.live.moment import Moment, Stage
+from gelbot.live.scene import BESIDE, HIDDEN, OVERLAID
+from gelbot.live.shared import Permit, Shared, on_press
+from gelbot.live.view import MM, VIEWS
+
+PACES: dict[str, float | None] = {"1x": 1.0, "2x": 2.0, "4x": 4.0, "fastest": None}
+STATES = {"running": "#009E73", "paused": "#E69F00", "stopped": "#c92a2a", "ready": "#0072B2"}
+RUN = ("start", "pause", "step", "reset")
+
+
+class Panel:
+    """The controls of one stage. What they do is done by `actions`; `look` is called with a browser and a view's name."""
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        permit: Permit,
+        actions: Actions,
+        look: Callable[[viser.ClientHandle, str], None],
+    ) -> None:
+        self._gui, self._permit, self._actions, self._look = gui, permit, actions, look
+        self.stage = actions.stage()
+        self._parts: list[Any] = []
+        self._error: viser.GuiHtmlHandle | None = None
+        self._run()
+        self._by_hand()
+        self._reference()
+        self._show()
+        self._scenario()
+        self._settings()
+
+    def update(self, moment: Moment) -> None:
+        """Show what the session says of things that the page did not ask for."""
+        if moment.controller in self.stage.controllers:
+            self.controller.put(moment.controller)
+        self.record.put(moment.recording)
+
+    def remove(self) -> None:
+        """Take the controls away."""
+        for part in self._parts:
+            part.remove()
+
+    def _keep(self, part: Any) -> Any:
+        self._parts.append(part)
+        return part
+
+    def _run(self) -> None:
+        gui, actions = self._gui, self._actions
+        buttons = self._keep(gui.add_button_group("", RUN))
+
+        async def pressed(event: Any) -> None:
+            if event.client is not None:
+                self._permit.do(event.client, getattr(actions, event.target.value))
+
+        buttons.on_click(pressed)
+        controllers = self.stage.controllers
+        chosen = actions.moment().controller
+        drive = self._keep(
+            gui.add_dropdown("driven", controllers, initial_value=chosen if chosen in controllers else controllers[0])
+        )
+        self.controller: Shared[str] = Shared(self._permit, drive, actions.drive_with)
+        pace = self._keep(gui.add_dropdown("pace", tuple(PACES), initial_value="1x", hint="Of the gel's time to yours"))
+        self.pace: Shared[str] = Shared(self._permit, pace, lambda name: actions.set_pace(PACES[name]))
+        record = self._keep(
+            gui.add_checkbox("record", actions.moment().recording, hint="Keep the motion in a run folder")
+        )
+        self.record: Shared[bool] = Shared(self._permit, record, actions.record)
+
+    def _by_hand(self) -> None:
+        gui, limit = self._gui, self.stage.limit
+        with self._keep(gui.add_folder("volts by hand")):
+            gui.add_html(
+                '<div class="gelbot-hint">Click a plate: the brush. Again: zero. Shift and drag: all plates inside.</div>'
+            )
+            brush = gui.add_slider("brush, V", -limit, limit, limit / 40.0, limit / 2.0)
+            self.brush: Shared[float] = Shared(self._permit, brush)
+            if self.stage.patterns:
+                pattern = gui.add_dropdown("pattern", self.stage.patterns)
+                self.pattern: Shared[str] = Shared(self._permit, pattern)
+                put = gui.add_button("set pattern at the brush's volts", color="gray")
+                on_press(self._permit, put, lambda: self._actions.set_pattern(self.pattern.value, self.brush.value))
+            on_press(self._permit, gui.add_button("all zero", color="gray"), self._all_zero)
+
+    def _all_zero(self) -> None:
+        for electrode in range(len(self.stage.outlines)):
+            self._actions.set_voltage(electrode, 0.0)
+
+    def _reference(self) -> None:
+        gui, actions = self._gui, self._actions
+        with self._keep(gui.add_folder("height wanted")):
+            height = gui.add_number("height, mm", 0.0, min=0.0, step=0.1, hint="Or drag the arrow beside the gel")
+            self.reference: Shared[float] = Shared(self._permit, height, lambda h: actions.set_reference(h / MM))
+            programme = gui.add_button("as in the programme", color="gray")
+            on_press(self._permit, programme, lambda: actions.set_reference(None))
+
+    def _show(self) -> None:
+        gui = self._gui
+        with self._keep(gui.add_folder("show", expand_by_default=False)):
+            views = gui.add_button_group("view", VIEWS)
+
+            async def look(event: Any) -> None:
+                # Where one looks from is everybody's own.
+                if event.client is not None:
+                    self._look(event.client, event.target.value)
+
+            views.on_click(look)
+            side = gui.add_dropdown("gel seen", (OVERLAID, BESIDE, HIDDEN), hint=f"From {self.stage.plant}")
+            self.side: Shared[str] = Shared(self._permit, side)
+            self.arrows: Shared[bool] = Shared(self._permit, gui.add_checkbox("current density", True))
+            self.labels: Shared[bool] = Shared(self._permit, gui.add_checkbox("numbers and volts", True))
+
+    def _scenario(self) -> None:
+        gui, actions = self._gui, self._actions
+        names = list(actions.scenarios())
+        if self.stage.name not in names:
+            names.insert(0, self.stage.name)
+        with self._keep(gui.add_folder("scenario", expand_by_default=False)):
+            scenario = gui.add_dropdown("scenario", names, initial_value=self.stage.name)
+            self.scenario: Shared[str] = Shared(self._permit, scenario, actions.choose)
+            gui.add_html(f'<div class="gelbot-hint">{escape(" ".join(self.stage.description.split()))}</div>')
+
+    def _settings(self) -> None:
+        gui = self._gui
+        if not self.stage.settings:
+            return
+        with self._keep(gui.add_folder("body and electrodes", expand_by_default=False)):
+            self._texts: dict[str, Shared[str]] = {
+                key: Shared(self._permit, gui.add_text(key, text)) for key, text in self.stage.settings.items()
+            }
+            self._error = gui.add_html("", visible=False)
+            build = gui.add_button("build", color="gray", hint="Nothing changes before. Begins anew")
+
+            async def pressed(event: Any) -> None:
+                if event.client is not None:
+                    self._permit.do(event.client, self._build)
+
+            build.on_click(pressed)
+
+    def _build(self) -> None:
+        """Ask for what was written, if it was: one line says what is wrong with it, if something is."""
+        assert self._error is not None
+        written = {key: text.value.strip() for key, text in self._texts.items()}
+        changes = {key: text for key, text in written.items() if text != self.stage.settings[key]}
+        if not changes:
+            return
+        try:
+            self._actions.change(changes)
+        except Exception as error:
+            self._error.content = f'<div class="gelbot-error">{escape(str(error))}</div>'
+            self._error.visible = True
+            raise
+        self._error.visible = False
+
+
+def status(moment: Moment) -> str:
+    """The lines that say how things stand, as HTML."""
+    ticks = moment.ticks
+    state = escape(moment.state)
+    badge = f'<span class="gelbot-state" style="background:{STATES.get(moment.state, "#666")}">{state}</span>'
+    record = '<span class="gelbot-record">&#9679; recording</span>' if moment.recording else ""
+    where = f"{badge} <b>{moment.time:.1f} s</b> {escape(moment.phase)}{record}"
+    took = f"tick {1e3 * ticks.median:.1f} ms, 99 % {1e3 * ticks.p99:.1f} ms, {ticks.late} late of {ticks.count}"
+    loop = f"{escape(moment.controller)} &middot; {took if ticks.count else 'no ticks yet'}"
+    message = f'<div class="gelbot-message">{escape(moment.message)}</div>' if moment.message else ""
+    return f'<div class="gelbot-status"><div>{where}</div><div class="gelbot-small">{loop}</div>{message}</div>'
