@@ -122,7 +122,7 @@ class SerialSupply:
         """Zero volts, then let go of the port. Never raises; over within twice the timeout."""
         if self._port is None:
             return
-        self._forget("W")
+        self._forget()
         with contextlib.suppress(Exception):
             self._ask("Z")
         self._let_go()
@@ -170,24 +170,17 @@ class SerialSupply:
         self._number = self._number % HIGHEST_NUMBER + 1
         line = encode_request(Request(command, self._number, millivolts))
         try:
-            self._send(line, until)
-            try:
-                answer = self._answer(begun + 0.5 * self._timeout)
-            except GarbledLine:
-                answer = None
-            if answer is None:
-                # The line feed ends what may have been left of the first try.
-                self._send(b"\n" + line, until)
-                answer = self._answer(until)
-        except GarbledLine as error:
-            self._forget(command)
+            answer = self._exchange(line, begun + 0.5 * self._timeout, until)
+        except (GarbledLine, OSError) as error:
+            if any(millivolts):  # a zero may come late
+                self._forget()
+            if isinstance(error, OSError):
+                raise self._gone(command, error) from error
             advice = "the baud rate, the cable's length and shield, the device's ground"
             raise SupplyFailed(self.name, f"two answers to {command} were garbled: {error.what}", advice) from error
-        except OSError as error:
-            self._forget(command)
-            raise self._gone(command, error) from error
         if answer is None:
-            self._forget(command)
+            if any(millivolts):
+                self._forget()
             what = f"no answer to {command} within {self._timeout:g} s"
             raise SupplyFailed(self.name, what, "whether it has power, its firmware runs, and the baud rate is right")
         if not answer.done:
@@ -195,24 +188,36 @@ class SerialSupply:
             raise SupplyFailed(self.name, what, "the device's range and firmware")
         return answer
 
-    def _forget(self, command: str) -> None:
-        """Take back what has not been sent yet: voltages must not come late. A zero may."""
-        if command != "Z" and self._port is not None:
-            with contextlib.suppress(Exception):
-                self._port.reset_output_buffer()
+    def _exchange(self, line: bytes, patient_until: float, until: float) -> Answer | None:
+        """The answer to `line`, which is sent once more where none is readable before `patient_until`.
+
+        None when there is none before `until`. Raises `GarbledLine` for two unreadable ones, `OSError` of the port.
+        """
+        self._send(line, until)
+        with contextlib.suppress(GarbledLine):
+            answer = self._answer(patient_until)
+            if answer is not None:
+                return answer
+        if time.monotonic() >= until:
+            return None
+        # The line feed ends what may have been left of the first try.
+        self._send(b"\n" + line, until)
+        return self._answer(until)
+
+    def _forget(self) -> None:
+        """Take back what has not been sent yet: voltages must not come late."""
+        assert self._port is not None
+        with contextlib.suppress(Exception):
+            self._port.reset_output_buffer()
 
     def _send(self, line: bytes, until: float) -> None:
         assert self._port is not None
-        left = until - time.monotonic()
-        if left <= 0.0:
-            return
         if os.name == "posix":
             # pyserial would wait for room in a full line by trying without a pause.
-            _, room, _ = select.select([], [self._port.fileno()], [], left)
-            left = until - time.monotonic()
-            if not room or left <= 0.0:
+            _, room, _ = select.select([], [self._port.fileno()], [], max(until - time.monotonic(), 0.0))
+            if not room:
                 raise TimeoutError
-        self._port.write_timeout = left
+        self._port.write_timeout = max(until - time.monotonic(), 1e-3)
         self._port.write(line)
 
     def _answer(self, until: float) -> Answer | None:
