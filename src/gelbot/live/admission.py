@@ -1,4 +1,4 @@
-"""Who may see the page: a request's head is read, and let in, redirected or refused. Text in, answer out; no sockets."""
+"""Who may see the page: a request's head is read, and let in, redirected or refused. Text in, answer out."""
 
 from __future__ import annotations
 

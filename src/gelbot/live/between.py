@@ -9,6 +9,9 @@ from gelbot.live.moment import Moment
 
 LONGEST = 0.25
 """Moments that lie further apart [s of the wall clock] are shown as they come: nothing moved between them."""
+LAG = 1.2
+"""How much longer they are on their way than the last moment took to come: one that comes a little late finds them
+still moving, not standing."""
 FAR = 0.5
 """A jump of the gel's time [s] that is no motion but another beginning."""
 
@@ -36,5 +39,5 @@ class Between:
     def _shown(self, moment: Moment, now: float) -> NDArray[np.float64]:
         if self._last is None:
             return moment.positions
-        share = (now - self._came) / max(self._takes, 1e-3)
+        share = (now - self._came) / (LAG * max(self._takes, 1e-3))
         return moment.positions if share >= 1.0 else self._last + share * (moment.positions - self._last)

@@ -20,6 +20,7 @@ button[style*="gray-filled"]:hover {{ background: #dde3e9 !important; }}
   font-size: .8em; overflow-wrap: anywhere; }}
 .gelbot-title {{ padding: .3em .9em .1em; font-size: .8em; color: #333; }}
 .gelbot-seat {{ padding: 0 .9em .3em; font-size: .8em; color: #555; }}
+.mantine-ScrollArea-content div:has(button[id="{stop}"]) {{ overflow: clip !important; }}
 div:has(> button[id="{stop}"]) {{ position: sticky; top: 0; z-index: 30; background: #fff; padding-top: .35em; }}
 button[id="{stop}"] {{ height: 3.1em !important; background: #d6201f !important; letter-spacing: .06em;
   font-weight: 700; box-shadow: 0 1px 4px rgba(160, 0, 0, .35); }}

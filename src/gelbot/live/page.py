@@ -9,6 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import viser
+from numpy.typing import NDArray
 from viser import _messages as messages
 
 from gelbot.live import look
@@ -55,6 +56,14 @@ class Page:
         self._closing = True
         self._done.set()
         self._thread.join()
+
+    def browsers(self) -> dict[int, viser.ClientHandle]:
+        """Who is there, by number."""
+        return self._server.get_clients()
+
+    def places(self, client: viser.ClientHandle) -> NDArray[np.float64]:
+        """Where a browser shows the middles of the electrodes: shares of its picture from the upper left, (2, e)."""
+        return on_screen(client.camera, self._scene.centres())
 
     def _build_frame(self) -> None:
         """What stays when the scenario changes."""
@@ -165,7 +174,7 @@ class Page:
 
     async def _paint_inside(self, event: viser.SceneRectSelectEvent) -> None:
         """The brush's volts on all plates whose middle lies in the rectangle."""
-        places = on_screen(event.client.camera, self._scene.centres())
+        places = self.places(event.client)
         low, high = np.array(event.screen_min)[:, None], np.array(event.screen_max)[:, None]
         inside = np.flatnonzero(np.all((places >= low) & (places <= high), axis=0))
 
@@ -191,7 +200,7 @@ class Page:
             self._panel.reference.put(height)
 
     def _look(self, client: viser.ClientHandle, name: str) -> None:
-        seen = view(self._stage, name)
+        seen = view(self._stage, name, client.camera.aspect)
         with client.atomic():
             client.camera.position, client.camera.look_at = seen.position, seen.target
             client.camera.up_direction = (0.0, 0.0, 1.0)

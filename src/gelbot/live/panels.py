@@ -9,7 +9,7 @@ from typing import Any
 import viser
 
 from gelbot.live.actions import Actions
-from gelbot.live.moment import Moment, Stage
+from gelbot.live.moment import Moment
 from gelbot.live.scene import BESIDE, HIDDEN, OVERLAID
 from gelbot.live.shared import Permit, Shared, on_press
 from gelbot.live.view import MM, VIEWS
@@ -20,7 +20,7 @@ RUN = ("start", "pause", "step", "reset")
 
 
 class Panel:
-    """The controls of one stage. What they do is done by `actions`; `look` is called with a browser and a view's name."""
+    """The controls of one stage. What they do is done by `actions`; `look` is told a browser and a view's name."""
 
     def __init__(
         self,
@@ -80,9 +80,8 @@ class Panel:
     def _by_hand(self) -> None:
         gui, limit = self._gui, self.stage.limit
         with self._keep(gui.add_folder("volts by hand")):
-            gui.add_html(
-                '<div class="gelbot-hint">Click a plate: the brush. Again: zero. Shift and drag: all plates inside.</div>'
-            )
+            words = "Click a plate: the brush. Again: zero. Shift and drag: all plates inside."
+            gui.add_html(f'<div class="gelbot-hint">{words}</div>')
             brush = gui.add_slider("brush, V", -limit, limit, limit / 40.0, limit / 2.0)
             self.brush: Shared[float] = Shared(self._permit, brush)
             if self.stage.patterns:
@@ -99,7 +98,8 @@ class Panel:
     def _reference(self) -> None:
         gui, actions = self._gui, self._actions
         with self._keep(gui.add_folder("height wanted")):
-            height = gui.add_number("height, mm", 0.0, min=0.0, step=0.1, hint="Or drag the arrow beside the gel")
+            hint = "Or drag the arrow beside the gel"
+            height = gui.add_number("height, mm", 0.0, min=0.0, step=0.1, hint=hint)
             self.reference: Shared[float] = Shared(self._permit, height, lambda h: actions.set_reference(h / MM))
             programme = gui.add_button("as in the programme", color="gray")
             on_press(self._permit, programme, lambda: actions.set_reference(None))

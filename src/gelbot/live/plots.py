@@ -35,7 +35,7 @@ class History:
         self._count = count
         out = np.linalg.norm(stage.rest[:2] - stage.rest[:2].mean(axis=1, keepdims=True), axis=0)
         # The middle of the gel: the twentieth part of its nodes that lies closest to it at rest, on all its layers.
-        self._middle = np.argsort(out)[: max(2, len(out) // 20)]
+        self._middle = np.flatnonzero(out <= np.sort(out)[len(out) // 20] + 1e-9)
 
     def add(self, moment: Moment) -> bool:
         """Keep this moment. Returns whether it was new; one that lies before the last begins the history anew."""
@@ -84,7 +84,7 @@ class Plots:
             self._picture = gui.add_image(BLANK, format="jpeg", jpeg_quality=80)
             self._parts.append(self._picture)
         count = len(stage.outlines)
-        three = (("seen", BLUE), ("simulated", FAINT), ("reference", ORANGE))
+        three = (("seen", BLUE), ("model", FAINT), ("reference", ORANGE))
         self._heights = self._plot(gui, _title("height, mm", three), self._history.heights(), three)
         each = [(name, COLOURS[k % len(COLOURS)]) for k, name in enumerate(stage.electrode_names[:count])]
         limits = (-1.05 * stage.limit, 1.05 * stage.limit)

@@ -52,15 +52,13 @@ def serve(actions: Actions, host: str = "127.0.0.1", port: int = 8080, token: st
     """Show `actions` at `host` and `port`, 0: a free one.
 
     Whoever opens it from this machine needs no `token`, unless one is given; at any other address one is needed, and
-    made if none is given: it is part of `url` then. Raises `BadInput` when the address cannot be listened on, or when a token
-    is too short.
+    made if none is given: it is part of `url` then. Raises `BadInput` when the address cannot be listened on, or when
+    a token is too short.
     """
-    if token is not None and (
-        len(token) < SHORTEST or not all(c.isalnum() or c in "-_" for c in token) or not token.isascii()
-    ):
-        raise BadInput(
-            "token", "*" * len(token), f"at least {SHORTEST} letters, digits, - or _", "leave it out: one is made"
-        )
+    if token is not None and not (token.isascii() and token.replace("-", "").replace("_", "").isalnum()):
+        raise BadInput("token", "*" * len(token), "letters, digits, - and _", "leave it out: one is made")
+    if token is not None and len(token) < SHORTEST:
+        raise BadInput("token", "*" * len(token), f"at least {SHORTEST} letters", "leave it out: one is made")
     if token is None and not is_loopback(host):
         token = secrets.token_urlsafe(18)
     inner = Inner("gelbot")

@@ -39,10 +39,12 @@ class Toy:
         """When the emergency stop came [s], by `time.perf_counter`."""
         self._work, self._camera = work, camera
         self._lock, self._done = threading.Lock(), threading.Event()
-        self._spent: deque[float] = deque(maxlen=600)
+        self.spent: deque[float] = deque(maxlen=600)
+        """What the last ticks took [s]."""
         self._count = self._late = self._steps = 0
         self._pace: float | None = 1.0
         self._wanted: float | None = None
+        self._high = 0.0
         self._stage = _stage(SCENARIOS[0], {"body.width": "15 mm", "electrodes.gap": "15 mm"}, camera)
         self._moment = self._first()
         if keep_running:
@@ -141,7 +143,7 @@ class Toy:
 
     def _first(self) -> Moment:
         """The moment in which a scenario begins."""
-        none = np.zeros(ROWS**2)
+        none, self._high = np.zeros(ROWS**2), 0.0
         return Moment(
             number=0, state="ready", message="", time=0.0, positions=self._stage.rest,
             adsorption=np.zeros(self._stage.faces.shape[1]), asked=none, given=none, currents=none, observed=None,
@@ -160,7 +162,7 @@ class Toy:
             if self._moment.state == "running" or self._steps > 0:
                 self._tick()
                 self._steps = max(0, self._steps - 1)
-            self._spent.append(time.perf_counter() - began)
+            self.spent.append(time.perf_counter() - began)
             self._count += 1
             due += PERIOD / (self._pace or 10.0)
             left = due - time.perf_counter()
@@ -177,13 +179,12 @@ class Toy:
             reference = self._wanted if self._wanted is not None else _programme(clock)
             asked = now.asked
             if now.controller != "by hand":
-                high = float(now.positions[2, 0])
-                pull = np.clip(10e3 * (reference - high) / LIMIT, -1.0, 1.0) * LIMIT
-                asked = np.where(np.arange(ROWS**2) % 5 == 0, -pull, pull / 3.0)
+                pull = np.clip(2e3 * (reference - float(now.positions[2, 0])), -1.0, 1.0) * LIMIT
+                asked = np.where(np.arange(ROWS**2) % 5 == 0, -pull / 3.0, pull)
             pull = np.sign(asked.sum()) * np.abs(asked).max() / LIMIT
-            high = float(np.clip(now.positions[2, 0] + RISE * pull * PERIOD, 0.0, HIGHEST))
+            high = self._high = float(np.clip(self._high + RISE * pull * PERIOD, 0.0, HIGHEST))
             positions = _risen(stage.rest, high)
-            spent = np.array(self._spent or [0.0])
+            spent = np.array(self.spent or [0.0])
             ticks = Ticks(self._count, self._late, *(float(v) for v in np.percentile(spent, (50, 99, 100))))
             self._moment = replace(
                 now, number=now.number + 1, time=clock, positions=positions, asked=asked, given=asked,
@@ -195,8 +196,8 @@ class Toy:
 
 
 def _programme(clock: float) -> float:
-    """The height wanted [m]: up within 10 s, then down and up for ever."""
-    return 0.5 * HIGHEST * (1.0 - float(np.cos(2.0 * np.pi * clock / 20.0)))
+    """The height wanted [m]: up and down for ever."""
+    return 2e-3 + 1.5e-3 * (1.0 - float(np.cos(2.0 * np.pi * clock / 20.0)))
 
 
 def _stage(name: str, settings: dict[str, str], camera: bool) -> Stage:
@@ -248,7 +249,7 @@ def _risen(rest: NDArray[np.float64], high: float) -> NDArray[np.float64]:
     """The starfish as a dome whose middle has come up to `high` [m]: the arms bend down, and come in."""
     out = rest[:2] - PLACE[:, None]
     far = np.linalg.norm(out, axis=0) / 7.5e-3
-    bend = 2.4 * high / HIGHEST / 2.0
+    bend = 2.2 * high / HIGHEST
     inward = np.where(far > 0, np.sin(bend * far) / np.maximum(bend * far, 1e-9), 1.0) if bend > 1e-6 else 1.0
     drop = 7.5e-3 * (1.0 - np.cos(bend * far)) / max(bend, 1e-9)
     lift = float(drop.max())

@@ -26,16 +26,20 @@ class View:
     target: NDArray[np.float64]
 
 
-def view(stage: Stage, name: str) -> View:
-    """A view by its name, one of `VIEWS`: the body from across, all electrodes from across, all of it from above."""
+def view(stage: Stage, name: str, aspect: float = 1.0) -> View:
+    """A view by its name, one of `VIEWS`: the body from across, all electrodes from across, all of it from above.
+
+    `aspect`: breadth of the picture by its height; in a high one what is broad must be further away.
+    """
     middle, breadth = body(stage)
     gap = max((float(o[2].max()) for o in stage.outlines), default=0.0) * MM
     corners = [o[:2].T * MM for o in stage.outlines]
     low, high = (f(np.concatenate(corners), axis=0) if corners else middle[:2] for f in (np.min, np.max))
     span = max(float(np.max(high - low)), 2.0 * breadth)
+    span = span / min(1.0, aspect)
     if name == "body":
         target = np.array([middle[0], middle[1], 0.45 * max(gap, 0.7 * breadth)])
-        return View(target + _away(AZIMUTH, ELEVATION, 2.9 * breadth), target)
+        return View(target + _away(AZIMUTH, ELEVATION, 2.9 * breadth * max(1.0, 0.5 / aspect)), target)
     target = np.array([*(0.5 * (low + high)), 0.3 * gap])
     if name == "tank":
         return View(target + _away(AZIMUTH, 32.0, 1.15 * span), target)

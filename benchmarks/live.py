@@ -1,0 +1,108 @@
+"""How fast the page of `gelbot live` is, and what it costs the control loop beside it: a real browser, no GPU.
+
+python benchmarks/live.py      the rows, as JSON; a minute
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+
+Rows = list[dict[str, Any]]
+
+WARM, MEASURED, ALONE = 12.0, 20.0, 10.0
+"""Seconds until all shaders are made, those that count, and those without a page."""
+TICK = 3e-3
+"""What the control loop does in each tick of 100 ms takes about that [s]."""
+WIDTH, HEIGHT = 1000, 700
+FRAMES = "window.__viserTestpoints.rendererInfo.render.frame"
+CLOSINGS = 5
+
+
+def busy() -> None:
+    """A control tick's work: half of it in Python, half in numpy."""
+    end = time.perf_counter() + TICK
+    matrix = np.eye(60)
+    while time.perf_counter() < end:
+        matrix = matrix @ matrix
+        sum(math.sqrt(k) for k in range(400))
+
+
+def row(name: str, value: float, unit: str, target: float | None = None, note: str = "", headline: str = "") -> Any:
+    """A row of the table; `headline`: its name in that object of bench.json."""
+    found = {"name": name, "value": float(value), "unit": unit, "target": target, "note": note}
+    return {**found, "headline": headline} if headline else found
+
+
+def rows() -> Rows:
+    """Pictures a second, the control ticks meanwhile, and how soon the volts are gone when the browser is."""
+    from browser import NO_BROWSER  # pyright: ignore[reportMissingImports]
+
+    return [] if NO_BROWSER else [*pictures(), *closing()]
+
+
+def pictures() -> Rows:
+    """What is sent and drawn, and the time of the ticks."""
+    from browser import browser_page  # pyright: ignore[reportMissingImports]
+    from gelbot.live.serve import serve
+    from gelbot.live.toy import Toy
+
+    with Toy(busy, keep_running=True) as toy:
+        time.sleep(ALONE)
+        alone = 1e3 * float(np.percentile(toy.spent, 99))
+    with Toy(busy, keep_running=True) as toy, serve(toy, port=0) as served:
+        nodes = toy.stage().rest.shape[1]
+        with browser_page(served.url, WIDTH, HEIGHT) as page:
+            page.wait_for_timeout(1e3 * WARM)
+            toy.spent.clear()
+            sent, drawn, began = served.page.pictures, page.evaluate(FRAMES), time.perf_counter()
+            page.wait_for_timeout(1e3 * MEASURED)
+            drawn, took = page.evaluate(FRAMES) - drawn, time.perf_counter() - began
+            sent = served.page.pictures - sent
+            ticks = 1e3 * np.array(toy.spent)
+    median, high = np.percentile(ticks, (50, 99))
+    note = f"{nodes} nodes, one browser, {len(ticks)} ticks of 10 a second in the same process"
+    return [
+        row("page: pictures sent", sent / took, "1/s", 30.0, note, "live_pictures_per_s"),
+        row("page: pictures drawn without a GPU", drawn / took, "1/s", None, f"{WIDTH} x {HEIGHT}, half the pixels"),
+        row("page: control tick beside it, median", median, "ms", None, f"its own work is {1e3 * TICK:g} ms"),
+        row("page: control tick beside it, 99 %", high, "ms", 20.0, f"alone {alone:.1f} ms", "live_tick_p99_ms"),
+    ]
+
+
+def closing() -> Rows:
+    """From the moment in which the driver's tab is told to close to zero volts: the longest of a few."""
+    from browser import open_page, launch  # pyright: ignore[reportMissingImports]  # isort: skip
+    from playwright.sync_api import sync_playwright
+
+    from gelbot.live.serve import serve
+    from gelbot.live.toy import Toy
+
+    took = []
+    with sync_playwright() as playwright, Toy(busy, keep_running=True) as toy, serve(toy, port=0) as served:
+        browser = launch(playwright)
+        for _ in range(CLOSINGS):
+            toy.reset()
+            toy.drive_with("servo")
+            page = open_page(browser, served.url, WIDTH, HEIGHT)
+            toy.start()
+            page.wait_for_timeout(1500.0)
+            began = time.perf_counter()
+            page.close()
+            while toy.moment().state != "stopped":
+                time.sleep(0.005)
+            took.append(toy.stopped_at - began)
+        browser.close()
+    return [row("page: driver's tab closed to zero volts, longest", 1e3 * max(took), "ms", 300.0, f"of {CLOSINGS}")]
+
+
+if __name__ == "__main__":
+    print(json.dumps(rows(), indent=2))

@@ -1,0 +1,28 @@
+"""A picture of the page of `gelbot live`, by a browser without a window.
+
+python examples/live_screenshot.py live.png                                 a session made of paper
+python examples/live_screenshot.py live.png http://127.0.0.1:8080/          one that runs
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+
+
+def main(to: Path, url: str | None = None, width: int = 1400, height: int = 900, wait: float = 12.0) -> Path:
+    """Write the picture, `wait` seconds after the page at `url` was opened; None: a page of its own."""
+    from browser import picture  # pyright: ignore[reportMissingImports]
+    from gelbot.live.serve import serve
+    from gelbot.live.toy import Toy
+
+    if url is not None:
+        return picture(url, to, width, height, wait)
+    with Toy(keep_running=True) as toy, serve(toy, port=0) as served:
+        return picture(served.url, to, width, height, wait)
+
+
+if __name__ == "__main__":
+    print(main(Path(sys.argv[1]), *sys.argv[2:3]))

@@ -1,0 +1,112 @@
+"""A real browser without a window, for tests and pictures of the page. It draws with the processor, slowly.
+
+`GELBOT_CHROMIUM` says where the browser is, if not in the usual place.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from playwright.sync_api import Browser, BrowserContext, Page, Playwright, sync_playwright
+
+from gelbot.live.serve import Served
+
+CHROMIUM = Path(os.environ.get("GELBOT_CHROMIUM", "/usr/bin/chromium"))
+FLAGS = (
+    "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update",
+    "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+    "--disable-gpu-compositing",
+)  # fmt: skip
+PATIENCE = 40.0
+"""Seconds in which what must come, comes: the first pictures take a processor a while."""
+CANVAS = "canvas[data-engine]"
+NO_BROWSER = "" if CHROMIUM.exists() else f"there is no browser at {CHROMIUM} (apt-get install chromium)"
+
+
+def launch(playwright: Playwright) -> Browser:
+    """The browser."""
+    return playwright.chromium.launch(executable_path=str(CHROMIUM), args=list(FLAGS))
+
+
+def open_page(
+    context: Browser | BrowserContext, url: str, width: int = 1000, height: int = 700, sharp: float = 0.5
+) -> Page:
+    """A page at `url`, once it is connected and has drawn the scene. `sharp`: the scene's pixels along one of the page."""
+    size: Any = {"width": width, "height": height}
+    page = context.new_page(viewport=size) if isinstance(context, Browser) else context.new_page()
+    page.set_viewport_size(size)
+    page.set_default_timeout(1e3 * PATIENCE)
+    page.goto(url + ("&" if "?" in url else "?") + f"fixedDpr={sharp:g}")
+    page.get_by_text("EMERGENCY STOP").wait_for()
+    page.get_by_text("browser", exact=False).first.wait_for()
+    page.wait_for_function("window.__viserTestpoints && window.__viserTestpoints.rendererInfo.render.frame > 3")
+    return page
+
+
+@contextmanager
+def browser_page(url: str, width: int = 1000, height: int = 700, sharp: float = 0.5) -> Iterator[Page]:
+    """A page at `url` in a browser of its own, for the time of a block; as `open_page`."""
+    with sync_playwright() as playwright:
+        browser = launch(playwright)
+        try:
+            yield open_page(browser, url, width, height, sharp)
+        finally:
+            browser.close()
+
+
+def until(what: Callable[[], Any], patience: float = PATIENCE, page: Page | None = None) -> Any:
+    """What `what` gives once it is true. Raises `AssertionError` when that takes longer than `patience` [s].
+
+    With a `page`, the page goes on meanwhile: it answers what it is asked only while somebody waits for it.
+    """
+    end = time.monotonic() + patience
+    while not (found := what()):
+        assert time.monotonic() < end, "it did not come"
+        if page is None:
+            time.sleep(0.02)
+        else:
+            page.wait_for_timeout(20)
+    return found
+
+
+def electrode_on_page(page: Page, served: Served, electrode: int, browser: int = 0) -> tuple[float, float]:
+    """Where the middle of an electrode lies on the page [px]. `browser`: the page's number, from 0, as they came."""
+    clients = served.page.browsers()
+    box = page.locator(CANVAS).bounding_box()
+    assert box is not None
+    camera, shape = clients[browser].camera, box["width"] / box["height"]
+    # The page tells its camera now and then: until it has, the panels may have come to stand where it still sees.
+    until(lambda: abs(camera.aspect - shape) < 0.01 * shape, PATIENCE, page)
+    across, down = served.page.places(clients[browser])[:, electrode]
+    place = box["x"] + float(across) * box["width"], box["y"] + float(down) * box["height"]
+    assert 0.0 < across < 1.0, f"electrode {electrode} is not in the picture"
+    assert 0.0 < down < 1.0, f"electrode {electrode} is not in the picture"
+    return place
+
+
+def click_electrode(page: Page, served: Served, electrode: int, browser: int = 0) -> None:
+    """Click on an electrode in the scene, beside its label."""
+    x, y = electrode_on_page(page, served, electrode, browser)
+    page.mouse.move(x - 1.0, y)
+    page.wait_for_timeout(50)
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.wait_for_timeout(30)
+    page.mouse.up()
+
+
+def picture(url: str, path: Path, width: int = 1400, height: int = 900, wait: float = 8.0) -> Path:
+    """Write what is seen at `url` to `path` (.png), `wait` seconds after it was opened."""
+    with browser_page(url, width, height, sharp=1.0) as page:
+        close = page.locator(".mantine-Notification-closeButton")
+        page.wait_for_timeout(1e3 * wait)
+        for _ in range(close.count()):
+            close.first.click()
+        page.wait_for_timeout(1500.0)
+        page.screenshot(path=path)
+    return path

@@ -1,0 +1,442 @@
+"""The page in a real browser, before a session made of paper: what is clicked arrives, what moves is seen."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Locator, Page, sync_playwright
+
+from browser import CANVAS, NO_BROWSER, click_electrode, electrode_on_page, launch, open_page, until
+from gelbot.live import colours
+from gelbot.live.between import Between
+from gelbot.live.plots import History
+from gelbot.live.seat import Seat
+from gelbot.live.serve import Served, serve
+from gelbot.live.toy import Toy
+
+in_browser = pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER or "there is one")
+ELECTRODE = 15
+"""One that stands in the first view."""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        started = launch(playwright)
+        yield started
+        started.close()
+
+
+@pytest.fixture
+def toy() -> Iterator[Toy]:
+    with Toy(camera=False) as session:
+        yield session
+
+
+@pytest.fixture
+def served(toy: Toy) -> Iterator[Served]:
+    with serve(toy, port=0) as page:
+        yield page
+
+
+def called(toy: Toy, name: str) -> list[tuple[Any, ...]]:
+    """What was asked of the session under this name, without the name."""
+    return [call[1:] for call in toy.calls if call[0] == name]
+
+
+def asked(toy: Toy, page: Page, name: str, *what: object) -> bool:
+    return bool(until(lambda: what in called(toy, name), page=page))
+
+
+def press(page: Page, label: str) -> None:
+    page.get_by_role("button", name=label, exact=True).click()
+
+
+# Without a browser.
+
+
+def test_the_first_drives_and_the_others_watch() -> None:
+    seat = Seat()
+    seat.arrive(0)
+    seat.arrive(1)
+    assert seat.driver == 0
+    assert not seat.take_over(1)
+    assert not seat.hand_over(1)
+    assert not seat.leave(1)
+    assert seat.drives(0)
+    assert not seat.drives(1)
+    assert not seat.drives(None)
+
+
+def test_a_seat_that_was_left_is_free() -> None:
+    seat = Seat()
+    seat.arrive(0)
+    seat.arrive(1)
+    assert seat.leave(0)
+    assert seat.driver is None
+    assert seat.take_over(1)
+    assert not seat.take_over(0)
+    assert seat.leave(1)
+    seat.arrive(2)
+    assert seat.driver == 2
+
+
+def test_a_seat_that_was_handed_over_is_taken_by_who_asks() -> None:
+    seat = Seat()
+    seat.arrive(0)
+    seat.arrive(1)
+    assert seat.hand_over(0)
+    seat.arrive(2)
+    assert seat.driver is None
+    assert seat.take_over(1)
+    assert not seat.hand_over(0)
+
+
+def test_nodes_go_from_moment_to_moment_and_arrive(monkeypatch: pytest.MonkeyPatch) -> None:
+    with Toy(camera=False) as toy:
+        first = toy.moment()
+    rest = first.positions
+    second = replace(first, number=1, time=0.1, positions=rest + 1.0)
+    third = replace(first, number=2, time=0.2, positions=rest + 2.0)
+    monkeypatch.setattr("gelbot.live.between.LAG", 1.0)
+    between = Between()
+    assert between.positions(first, 0.0) is rest
+    np.testing.assert_allclose(between.positions(second, 0.1), rest)
+    np.testing.assert_allclose(between.positions(second, 0.15), rest + 0.5)
+    assert between.positions(second, 0.2) is second.positions
+    np.testing.assert_allclose(between.positions(third, 0.25), rest + 1.0)
+    # Another beginning, and a step after a long rest, are no motion.
+    assert between.positions(first, 0.3) is rest
+    assert between.positions(second, 5.0) is second.positions
+
+
+def test_the_last_minute_is_kept_and_no_more() -> None:
+    with Toy(camera=False) as toy:
+        stage, moment = toy.stage(), toy.moment()
+    history = History(stage)
+    for tick in range(2_000):
+        assert history.add(replace(moment, number=tick, time=0.1 * tick, reference=3e-3))
+        assert not history.add(replace(moment, number=tick, time=0.1 * tick))
+    clock, seen, simulated, wanted = history.heights()
+    assert clock[-1] - clock[0] <= 60.0 + 1e-9
+    assert len(clock) == 600
+    assert np.isnan(seen).all()
+    np.testing.assert_allclose(simulated, 0.5)
+    np.testing.assert_allclose(wanted, 3.0)
+    assert len(history.volts()) == len(history.currents()) == 17
+    history.add(replace(moment, time=0.0))
+    assert len(history.heights()[0]) == 2
+
+
+def test_colours_are_those_of_the_movie() -> None:
+    red, blue, none = (colours.of_volts(v, 10.0) for v in (10.0, -10.0, 0.0))
+    assert red[0] > 150 > red[2]
+    assert blue[2] > 150 > blue[0]
+    assert min(none) > 230
+    assert colours.of_volts(99.0, 10.0) == red
+    assert colours.of_volts(float("nan"), 10.0) == none
+    assert colours.of_adsorption(12).shape == (12, 3)
+
+
+def test_nothing_is_left_when_it_closes() -> None:
+    before = threading.active_count()
+    for _ in range(2):
+        with Toy(camera=False) as toy, serve(toy, port=0) as served:
+            served.close()
+    assert threading.active_count() == before
+
+
+# With one.
+
+
+@in_browser
+@pytest.mark.slow
+def test_a_plate_is_clicked_and_the_body_moves(browser: Browser, toy: Toy, served: Served) -> None:
+    page = browser.new_page()
+    asked_for: list[str] = []
+    page.on("request", lambda request: asked_for.append(request.url))
+    page.close()
+    page = open_page(browser, served.url)
+    try:
+        assert page.title() == "gelbot"
+        click_electrode(page, served, ELECTRODE)
+        assert asked(toy, page, "set_voltage", ELECTRODE, 5.0)
+        until(lambda: toy.moment().asked[ELECTRODE] == 5.0, page=page)
+        before = page.locator(CANVAS).screenshot()
+        sent = served.page.pictures
+        press(page, "start")
+        assert asked(toy, page, "start")
+        until(lambda: served.page.pictures > sent + 20, page=page)
+        until(lambda: page.locator(CANVAS).screenshot() != before, page=page)
+        click_electrode(page, served, ELECTRODE)
+        assert asked(toy, page, "set_voltage", ELECTRODE, 0.0)
+        press(page, "EMERGENCY STOP")
+        assert asked(toy, page, "emergency_stop", "browser 1")
+        page.get_by_text("stopped by browser 1").wait_for()
+        press(page, "start")
+        page.get_by_text("reset first, then start").wait_for()
+        press(page, "reset")
+        assert asked(toy, page, "reset")
+    finally:
+        page.close()
+
+
+@in_browser
+@pytest.mark.slow
+def test_nothing_is_fetched_from_anywhere_else(browser: Browser, served: Served) -> None:
+    context = browser.new_context()
+    urls: list[str] = []
+    context.on("request", lambda request: urls.append(request.url))
+    open_page(context, served.url)
+    context.close()
+    here = (f"http://127.0.0.1:{served.port}/", f"blob:http://127.0.0.1:{served.port}/", "data:")
+    assert [url for url in urls if not url.startswith(here)] == []
+    assert len(urls) > 0
+
+
+@in_browser
+@pytest.mark.slow
+def test_a_rectangle_paints_the_plates_in_it(browser: Browser, toy: Toy, served: Served) -> None:
+    page = open_page(browser, served.url)
+    try:
+        page.get_by_text("show", exact=True).click()
+        press(page, "above")
+        page.wait_for_timeout(1500)
+        corner, end = (electrode_on_page(page, served, k) for k in (0, 5))
+        page.keyboard.down("Shift")
+        page.mouse.move(corner[0] - 15, corner[1] - 15)
+        page.mouse.down()
+        page.mouse.move(end[0], end[1], steps=4)
+        page.mouse.move(end[0] + 15, end[1] + 15, steps=4)
+        page.mouse.up()
+        page.keyboard.up("Shift")
+        for electrode in (0, 1, 4, 5):
+            assert asked(toy, page, "set_voltage", electrode, 5.0)
+        assert {call[0] for call in called(toy, "set_voltage")} == {0, 1, 4, 5}
+        press(page, "all zero")
+        until(lambda: (15, 0.0) in called(toy, "set_voltage"), page=page)
+    finally:
+        page.close()
+
+
+@in_browser
+@pytest.mark.slow
+def test_a_watcher_moves_nothing_and_stops_everything(browser: Browser, toy: Toy, served: Served) -> None:
+    driver = open_page(browser, served.url)
+    watcher = open_page(browser, served.url)
+    try:
+        watcher.get_by_text("Watching; browser 1 drives.").wait_for()
+        press(driver, "start")
+        assert asked(toy, driver, "start")
+        click_electrode(watcher, served, ELECTRODE, browser=1)
+        watcher.get_by_text("Browser 1 drives.", exact=True).wait_for()
+        _write(watcher, "height, mm", "2")
+        field = _field(watcher, "height, mm")
+        until(lambda: field.input_value() == "0", page=watcher)
+        press(watcher, "pause")
+        press(watcher, "take over")
+        watcher.get_by_text("can hand over").wait_for()
+        assert called(toy, "set_voltage") == called(toy, "pause") == called(toy, "set_reference") == []
+        assert toy.moment().state == "running"
+        press(watcher, "EMERGENCY STOP")
+        assert asked(toy, watcher, "emergency_stop", "browser 2")
+        press(driver, "hand over")
+        driver.get_by_text("Watching; nobody drives.").wait_for()
+        press(watcher, "take over")
+        watcher.get_by_text("You drive (browser 2).").wait_for()
+        press(watcher, "reset")
+        assert asked(toy, watcher, "reset")
+    finally:
+        driver.close()
+        watcher.close()
+
+
+@in_browser
+@pytest.mark.slow
+def test_closing_the_driver_s_tab_stops_at_once(browser: Browser, toy: Toy, served: Served) -> None:
+    driver = open_page(browser, served.url)
+    watcher = open_page(browser, served.url)
+    try:
+        click_electrode(driver, served, ELECTRODE)
+        press(driver, "start")
+        until(lambda: toy.moment().given[ELECTRODE] == 5.0, page=driver)
+        closing = time.perf_counter()
+        driver.close()
+        until(lambda: toy.moment().state == "stopped", page=watcher)
+        assert called(toy, "emergency_stop") == [("the driving browser was closed",)]
+        assert not toy.moment().given.any()
+        # Of these the browser itself takes some to close the page.
+        assert toy.stopped_at - closing < 1.0
+        watcher.get_by_text("Watching; nobody drives.").wait_for()
+        press(watcher, "take over")
+        watcher.get_by_text("You drive (browser 2).").wait_for()
+    finally:
+        watcher.close()
+
+
+@in_browser
+@pytest.mark.slow
+@pytest.mark.parametrize("writing", [False, True])
+def test_escape_stops_also_while_one_writes(browser: Browser, toy: Toy, served: Served, writing: bool) -> None:
+    page = open_page(browser, served.url)
+    try:
+        if writing:
+            _field(page, "height, mm").click()
+        page.keyboard.press("Escape")
+        assert asked(toy, page, "emergency_stop", "browser 1")
+    finally:
+        page.close()
+
+
+@in_browser
+@pytest.mark.slow
+def test_settings_wait_for_the_button_and_a_bad_one_changes_nothing(browser: Browser, toy: Toy, served: Served) -> None:
+    page = open_page(browser, served.url)
+    try:
+        page.get_by_text("body and electrodes").click()
+        stage = toy.stage()
+        _write(page, "body.width", "wide")
+        press(page, "build")
+        line = page.locator(".gelbot-error")
+        line.wait_for()
+        assert "body.width: got 'wide'; allowed: a length" in (line.text_content() or "")
+        assert toy.stage() is stage
+        assert called(toy, "change") == [({"body.width": "wide"},)]
+        _write(page, "body.width", "20 mm")
+        page.wait_for_timeout(500)
+        assert len(called(toy, "change")) == 1
+        press(page, "build")
+        until(lambda: served.page._panel.stage.settings["body.width"] == "20 mm", page=page)
+        page.get_by_text("scenario", exact=True).first.click()
+    finally:
+        page.close()
+
+
+@in_browser
+@pytest.mark.slow
+def test_what_the_driver_chooses_arrives(browser: Browser, toy: Toy, served: Served) -> None:
+    page = open_page(browser, served.url)
+    try:
+        _choose(page, "driven", "servo")
+        assert asked(toy, page, "drive_with", "servo")
+        _choose(page, "pace", "fastest")
+        assert asked(toy, page, "set_pace", None)
+        _field(page, "record").click()
+        assert asked(toy, page, "record", True)
+        _write(page, "height, mm", "4")
+        assert asked(toy, page, "set_reference", 4e-3)
+        press(page, "as in the programme")
+        assert asked(toy, page, "set_reference", None)
+        press(page, "set pattern at the brush's volts")
+        assert asked(toy, page, "set_pattern", "ridge", 5.0)
+        press(page, "step")
+        assert asked(toy, page, "step")
+        page.get_by_text("scenario", exact=True).first.click()
+        _choose(page, "scenario", "lift")
+        assert asked(toy, page, "choose", "lift")
+        until(lambda: served.page._panel.stage.name == "lift", page=page)
+        click_electrode(page, served, ELECTRODE)
+        assert asked(toy, page, "set_voltage", ELECTRODE, 5.0)
+    finally:
+        page.close()
+
+
+@in_browser
+@pytest.mark.slow
+def test_the_stop_stays_in_sight(browser: Browser, toy: Toy, served: Served) -> None:
+    page = open_page(browser, served.url, 1000, 600)
+    try:
+        for folder in ("show", "scenario", "body and electrodes"):
+            page.get_by_text(folder, exact=True).first.click()
+        page.wait_for_timeout(500)
+        stop = page.get_by_role("button", name="EMERGENCY STOP")
+        build = page.get_by_role("button", name="build")
+        before = stop.bounding_box()
+        build.scroll_into_view_if_needed()
+        after = stop.bounding_box()
+        assert before is not None
+        assert after is not None
+        assert 0.0 < after["y"] <= before["y"]
+        assert page.get_by_role("button", name="hand over").bounding_box()["y"] < after["y"]  # pyright: ignore
+        # Where it is seen it is also hit.
+        page.mouse.click(after["x"] + 0.5 * after["width"], after["y"] + 0.5 * after["height"])
+        assert asked(toy, page, "emergency_stop", "browser 1")
+    finally:
+        page.close()
+
+
+@in_browser
+@pytest.mark.slow
+def test_the_reference_is_dragged(browser: Browser, toy: Toy, served: Served) -> None:
+    toy.drive_with("servo")
+    toy.set_reference(3e-3)
+    toy.start()
+    page = open_page(browser, served.url)
+    try:
+        until(lambda: served.page._scene.reference.handle.visible, page=page)
+        page.wait_for_timeout(1000)
+        client = served.page.browsers()[0]
+        from gelbot.live.view import on_screen
+
+        foot = np.array(served.page._scene.reference.handle.position)[:, None]
+        box = page.locator(CANVAS).bounding_box()
+        assert box is not None
+
+        def place(up: float) -> tuple[float, float]:
+            x, y = on_screen(client.camera, foot + np.array([[0.0], [0.0], [up]]))[:, 0]
+            return box["x"] + x * box["width"], box["y"] + y * box["height"]
+
+        def dragged() -> bool:
+            return any(call[0] is not None and call[0] > 4e-3 for call in called(toy, "set_reference"))
+
+        page.mouse.move(*place(1.5))
+        page.wait_for_timeout(200)
+        page.mouse.down()
+        for up in np.linspace(1.5, 5.5, 12):
+            page.mouse.move(*place(float(up)))
+            page.wait_for_timeout(60)
+        until(dragged, page=page)
+        page.mouse.up()
+    finally:
+        page.close()
+
+
+@in_browser
+@pytest.mark.slow
+def test_memory_and_threads_stand_still_while_browsers_come_and_go(browser: Browser, toy: Toy, served: Served) -> None:
+    toy.drive_with("servo")
+    toy.start()
+    kept: list[int] = []
+    threads: list[int] = []
+    for _ in range(3):
+        page = open_page(browser, served.url)
+        toy.reset()
+        toy.start()
+        page.wait_for_timeout(1500)
+        page.close()
+        until(lambda: not served.page.browsers())
+        kept.append(len(served.page._server._websock_server._broadcast_buffer.message_from_id))
+        threads.append(threading.active_count())
+    assert kept[-1] <= kept[0] + 20
+    assert threads[-1] <= threads[0] + 8
+
+
+def _field(page: Page, label: str) -> Locator:
+    """What stands beside a label. Not every one is tied to it."""
+    return page.locator(f'xpath=//label[normalize-space(.)="{label}"]/ancestor::div[.//input][1]//input').first
+
+
+def _choose(page: Page, label: str, option: str) -> None:
+    _field(page, label).click()
+    page.get_by_role("option", name=option, exact=True).click()
+
+
+def _write(page: Page, label: str, text: str) -> None:
+    _field(page, label).fill(text)
+    page.wait_for_timeout(150)
