@@ -341,7 +341,7 @@ from gelbot.bench import drive
 from gelbot.clock import HandClock, WallClock
 from gelbot.live.drivers import Programmed
 from gelbot.live.keeping import Keeping
-from gelbot.live.ready import make_ready
+from gelbot.live.ready import Source, make_ready
 from gelbot.live.twin import Twin
 from gelbot.plants.build import simulated
 
@@ -350,7 +350,7 @@ def resident():
         if line.startswith("VmRSS"):
             return int(line.split()[1]) / 1024.0
 
-ready = make_ready("turn-over", ["body.mesh_size=1.8 mm"], [])
+ready = make_ready(Source("turn-over"), ["body.mesh_size=1.8 mm"], [])
 clock = HandClock()
 bench = simulated(ready.nominal, ready.real, clock, seed=1)
 twin, keeping, guard = Twin(ready.nominal, 0.0), Keeping(Path(sys.argv[1])), bench.plant.guard

@@ -110,6 +110,10 @@ class Keeping:
             self._writer = None
         self.recording = self._writer is not None
 
+    def told(self) -> str:
+        """Where the files are, in words; nothing where there are none."""
+        return f"; what was kept is in {self.folder}" if self.folder.exists() else ""
+
     def close(self) -> None:
         """End what is being kept."""
         if self._ready is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,9 @@ from gelbot.live.moment import Stage
 from gelbot.plan.templates import TEMPLATES
 from gelbot.points import Observation
 from gelbot.scenario.build import Experiment, build
-from gelbot.scenario.load import Loaded, load
+from gelbot.scenario.load import Loaded, checked, load
 from gelbot.scenario.obstacle_surfaces import obstacle_triangles
+from gelbot.scenario.overrides import override_keys, with_overrides
 
 HAND, PROGRAMME, SERVO, PLANNED, PREDICTIVE = "by hand", "programme", "servo", "planned", "predictive"
 """Who can drive. The servo lifts the gel with the first phase's pattern, to a height that can be dragged."""
@@ -32,6 +33,20 @@ WARMING = 3
 """Ticks of a driver that compile all that it needs."""
 
 
+class Source(NamedTuple):
+    """Where a scenario comes from: the `name` of a built-in one or a file; or its own `text`, and the name is whose."""
+
+    name: str
+    text: str | None = None
+
+    def load(self, changes: Sequence[str]) -> Loaded:
+        """The scenario with `changes` (key=value). Raises `BadInput`."""
+        if self.text is None:
+            return load(self.name, changes)
+        text = with_overrides(self.text, changes)
+        return Loaded(checked(tomllib.loads(text), self.name, overridden=override_keys(changes)), text, self.name)
+
+
 @dataclass
 class Ready:
     """A scenario made ready: `nominal` is what the controllers know, `real` the simulated gel, which may differ.
@@ -39,7 +54,7 @@ class Ready:
     `changes`: what was changed of the scenario since it was chosen.
     """
 
-    source: str
+    source: Source
     changes: tuple[str, ...]
     loaded: Loaded
     nominal: Experiment
@@ -84,13 +99,13 @@ class Ready:
         return self.experiment(name).programme
 
 
-def make_ready(source: str, changes: Sequence[str], real: Sequence[str], base: Ready | None = None) -> Ready:
+def make_ready(source: Source, changes: Sequence[str], real: Sequence[str], base: Ready | None = None) -> Ready:
     """The scenario `source` with its `changes` (key=value), and the real gel that differs from it by `real`.
 
     What it has in common with `base` is taken from there. Raises `BadInput`.
     """
-    loaded = load(source, changes)
-    others = load(source, [*changes, *real]) if real else loaded
+    loaded = source.load(changes)
+    others = source.load([*changes, *real]) if real else loaded
     try:
         nominal = build(loaded.scenario, None if base is None else base.nominal)
         gel = build(others.scenario, nominal) if real else nominal
@@ -133,6 +148,7 @@ def stage_of(ready: Ready, plant: str, has_camera: bool) -> Stage:
         has_camera=has_camera,
         control_period=scenario.programme.control_period,
         settings=settings_of(ready.loaded.text),
+        water_height=np.nan if scenario.tank.depth is None else scenario.tank.depth,
     )
 
 

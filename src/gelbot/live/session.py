@@ -6,6 +6,8 @@ message, a whole log.
 
 from __future__ import annotations
 
+import gc
+import sys
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -22,18 +24,21 @@ from gelbot.errors import BadInput, BenchStopped, GelbotError
 from gelbot.live.drivers import ByHand, Programmed
 from gelbot.live.keeping import Keeping
 from gelbot.live.moment import Moment, Seen, Stage, Ticks
-from gelbot.live.ready import HAND, SERVO, Ready, make_ready, stage_of
+from gelbot.live.ready import HAND, SERVO, Ready, Source, make_ready, stage_of
 from gelbot.live.setups import Setup
 from gelbot.live.twin import Twin
 from gelbot.plan.templates import template
 from gelbot.points import Observation
-from gelbot.scenario.load import load, names
+from gelbot.scenario.load import names
 
 Floats = NDArray[np.float64]
 REMEMBERED = 600
 """Ticks whose times the page tells of: a minute of them."""
 IDLE = 0.02
 """So long [s] the thread sleeps where there is nothing to do."""
+SWITCH = 2e-4
+"""A thread that computes gives way after so long [s]: a tick takes the interpreter some fifty times, and must not wait
+Python's usual 5 ms each time while a recording or the page is written."""
 READY, BUILDING, RUNNING, PAUSED, STOPPED = "ready", "building", "running", "paused", "stopped"
 
 
@@ -59,7 +64,7 @@ class Session:
     """
 
     def __init__(
-        self, setup: Setup, source: str, folder: Path, changes: Sequence[str] = (), real: Sequence[str] = ()
+        self, setup: Setup, source: Source, folder: Path, changes: Sequence[str] = (), real: Sequence[str] = ()
     ) -> None:
         self.setup, self.message = setup, ""
         self._real, self._commands = tuple(real), SimpleQueue[Callable[[], None]]()
@@ -73,6 +78,7 @@ class Session:
         self._ready = make_ready(source, changes, self._real)
         self.keeping = Keeping(folder)
         self._begin(self._ready)
+        sys.setswitchinterval(SWITCH)
         self._thread = Thread(target=self._run, name="control loop", daemon=True)
         self._thread.start()
 
@@ -84,7 +90,7 @@ class Session:
 
     def scenarios(self) -> list[str]:
         """The names of the scenarios that can be chosen."""
-        own = self._ready.source
+        own = self._ready.source.name
         return names() if own in names() else [own, *names()]
 
     def moment(self) -> Moment:
@@ -123,14 +129,16 @@ class Session:
 
     def choose(self, scenario: str) -> None:
         """Another scenario, by name or file."""
-        load(scenario)
-        self._do(lambda: self._rebuild(scenario, ()))
+        # What stands is chosen anew as it was written: that may be a recording's own.
+        source = self._ready.source if scenario == self._ready.source.name else Source(scenario)
+        source.load(())
+        self._do(lambda: self._rebuild(source, ()))
 
     def change(self, changes: Mapping[str, str]) -> None:
         """Values of the scenario, by key."""
         kept = {change.partition("=")[0]: change for change in self._ready.changes}
         kept.update({key: f"{key}={value}" for key, value in changes.items()})
-        load(self._ready.source, list(kept.values()))
+        self._ready.source.load(list(kept.values()))
         self._do(lambda: self._rebuild(self._ready.source, tuple(kept.values())))
 
     def start(self) -> None:
@@ -154,6 +162,11 @@ class Session:
     def emergency_stop(self, who: str) -> None:
         """Zero volts now."""
         self.setup.guard.stop(f"emergency stop, by {who}")
+
+    def halt(self, reason: str) -> None:
+        """Zero volts now, for another reason than the user's."""
+        if self._state == RUNNING:
+            self.setup.guard.stop(reason)
 
     def drive_with(self, controller: str) -> None:
         """Who drives."""
@@ -293,7 +306,7 @@ class Session:
 
     def _tell(self, text: str) -> None:
         """For the user and for the log. The guard calls it too, from its own thread."""
-        self.message = text
+        self.message = text.removeprefix("stopped: ")
         self.keeping.event(self._time, text)
 
     def _told(self) -> Ticks:
@@ -317,13 +330,14 @@ class Session:
         self._last, self._number, self._time, self._late = None, 0, 0.0, 0
         self._took.clear()
         self.keeping.begin(ready, self.setup.words)
+        _settle_memory()
         self._state, self.message = READY, ""
 
     def _halt_if_any(self) -> None:
         if hasattr(self, "_twin"):
-            self._halt(PAUSED, "")
+            self._halt(BUILDING, "")
 
-    def _rebuild(self, source: str, changes: tuple[str, ...]) -> None:
+    def _rebuild(self, source: Source, changes: tuple[str, ...]) -> None:
         self._halt(BUILDING, "building")
         try:
             self._begin(make_ready(source, changes, self._real, self._ready))
@@ -384,6 +398,14 @@ class Session:
 
     def _currents(self, given: Floats) -> Floats:
         return self._ready.nominal.field.conductance @ (self._ready.nominal.connection @ given)
+
+
+def _settle_memory() -> None:
+    """What stands now will stand: the collector, which holds up everything for a quarter of a second where it looks at
+    all that a scenario is made of, need not look at it again."""
+    gc.unfreeze()
+    gc.collect()
+    gc.freeze()
 
 
 def _with(voltages: Floats, electrode: int, volts: float) -> Floats:

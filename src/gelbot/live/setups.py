@@ -11,14 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelbot.clock import Clock, PacedClock, WallClock
+from gelbot.errors import BadInput
 from gelbot.hardware.guard import Guard
 from gelbot.hardware.limits import Limits, straight
 from gelbot.hardware.soft_supply import SoftSupply
+from gelbot.hardware.supply import Supply
 from gelbot.live.ready import Ready
 from gelbot.plant import Plant, Sighting
-from gelbot.plants.build import Simulated, simulated
+from gelbot.plants.build import Simulated, guard_of, simulated
+from gelbot.plants.guarded import Eye, GuardedPlant
 from gelbot.plants.played import PlayedPlant, recording
 from gelbot.points import Observation
+from gelbot.scenario.build import Experiment
 
 Tell = Callable[[str], None]
 
@@ -28,9 +32,21 @@ class Setup(Protocol):
 
     words: str
     has_camera: bool
-    clock: Clock
-    guard: Guard
-    plant: Plant
+
+    @property
+    def clock(self) -> Clock:
+        """The loop's."""
+        ...
+
+    @property
+    def guard(self) -> Guard:
+        """What stops it."""
+        ...
+
+    @property
+    def plant(self) -> Plant:
+        """What is seen and given voltages."""
+        ...
 
     def begin(self, ready: Ready, tell: Tell) -> None:
         """Put a scenario under it, at its beginning, all electrodes at zero volts. Raises `GelbotError`."""
@@ -62,6 +78,18 @@ class Setup(Protocol):
 
     def close(self) -> None:
         """Zero volts, and let go of everything."""
+        ...
+
+
+class OpenEye(Eye, Protocol):
+    """An eye that has a picture to show, and something to close."""
+
+    def picture(self) -> NDArray[np.uint8] | None:
+        """The newest picture (h, w, 3), RGB, with what was found in it."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the camera."""
         ...
 
 
@@ -118,6 +146,66 @@ class SimulatedSetup:
         self.guard.close()
 
 
+class BenchSetup:
+    """A real supply and a real eye: `open_supply` and `open_eye` make them for a scenario, each time it begins."""
+
+    def __init__(
+        self,
+        open_supply: Callable[[Experiment, Clock], Supply],
+        open_eye: Callable[[Experiment, Clock], OpenEye],
+        words: str = "bench",
+    ) -> None:
+        self.words, self.has_camera = words, True
+        self._open_supply, self._open_eye = open_supply, open_eye
+        self.clock = WallClock()
+        self.guard, self.plant = _nobody(self.clock), _Nothing()
+        self._eye: OpenEye | None = None
+
+    def begin(self, ready: Ready, tell: Tell) -> None:
+        """Open what is there anew. Raises `SupplyFailed`, `CameraFailed` and `BadInput`."""
+        self.close()
+        supply = self._open_supply(ready.nominal, self.clock)
+        try:
+            self.guard = guard_of(ready.nominal, supply, self.clock, tell)
+            self._eye = self._open_eye(ready.nominal, self.clock)
+        except Exception:
+            supply.close()
+            raise
+        self.plant = GuardedPlant(self.guard, self._eye, self.clock)
+        self.guard.watch()
+
+    def go(self) -> None:
+        """Let the electrodes have voltages."""
+        self.guard.arm()
+
+    def stand(self) -> None:
+        """Zero volts."""
+        self.guard.rest()
+
+    def kept_up(self, missed: int) -> None:
+        """It does not wait for anybody."""
+
+    def set_pace(self, pace: float | None) -> None:
+        """Raises `BadInput`: a real gel takes its time."""
+        if pace != 1.0:
+            raise BadInput("pace", "as fast as it goes" if pace is None else pace, "1: a real gel takes its time")
+
+    def first_sight(self) -> Observation:
+        """What is seen now."""
+        return self.plant.observe().observation
+
+    def picture(self) -> NDArray[np.uint8] | None:
+        """What the camera sees, with what was found in it."""
+        return None if self._eye is None else self._eye.picture()
+
+    def close(self) -> None:
+        """Zero volts, and let go of supply and camera."""
+        self.guard.close()
+        if self._eye is not None:
+            self._eye.close()
+            self._eye = None
+
+
 class PlayedSetup:
     """A recorded run or log. Voltages do nothing; its guard has nothing to guard, but stops it like any other."""
 
@@ -129,9 +217,13 @@ class PlayedSetup:
         self.clock = PacedClock(self._wall, pace, running=False)
         self.guard = _nobody(self._wall)
         self.plant = PlayedPlant(self._recording, self.clock)
+        self.scenario_text = str(self._recording.attrs.get("scenario", ""))
 
     def begin(self, ready: Ready, tell: Tell) -> None:
-        """Back to its beginning."""
+        """Back to its beginning. Raises `BadInput` for a scenario with other electrodes."""
+        recorded, there = self._recording.sizes["electrode"], ready.nominal.array.count
+        if recorded != there:
+            raise BadInput("--plant", f"a recording with {recorded} electrodes", f"{there}, as the scenario has")
         self.guard.close()
         self.guard = _nobody(self._wall, tell)
         self.guard.watch()

@@ -18,7 +18,7 @@ from gelbot.plants.simulated import Noise, SimulatedEye, SimulatedGel
 from gelbot.scenario.build import Experiment
 from gelbot.scenario.schema import Scenario
 
-LOOP_SILENT, LOOP_LATE = 0.2, 0.1
+LOOP_SILENT, LOOP_LATE = 0.25, 0.1
 """A loop that has not applied anything for this long [s], or for a period and the second of these, is stalled."""
 ROOM = 1.5
 """A simulated supply reaches so far beyond the scenario's limit."""

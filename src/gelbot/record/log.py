@@ -93,10 +93,10 @@ class BenchLog:
                 done = 0
                 while done < len(data):
                     done += os.write(self._file, data[done:])
-            except OSError:
+            except OSError as error:
                 with suppress(OSError):
                     os.ftruncate(self._file, self._length)
-                raise
+                raise OSError(error.errno, error.strerror, str(self.path)) from error
             self._length += len(data)
 
 

@@ -111,7 +111,7 @@ class Camera(Table):
     azimuth: Angle | None = None
     calibration: str | None = None
     delay: Annotated[float, Dimension("s", ge=0, le=2)] = 0.1
-    lost_after: Annotated[float, Dimension("s", ge=0.05, le=0.25)] = 0.2
+    lost_after: Annotated[float, Dimension("s", ge=0.05, le=0.25)] = 0.25
     patience: Annotated[float, Dimension("s", ge=0, le=3600)] = 5.0
     position_noise: Annotated[float, Dimension("m", ge=0, le=1e-2)] = 0.1e-3
     angle_noise: Annotated[float, Dimension("rad", ge=0, le=1)] = float(np.radians(2.0))
