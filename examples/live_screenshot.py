@@ -25,4 +25,4 @@ def main(to: Path, url: str | None = None, width: int = 1400, height: int = 900,
 
 
 if __name__ == "__main__":
-    print(main(Path(sys.argv[1]), *sys.argv[2:3]))
+    print(main(Path(sys.argv[1]), sys.argv[2] if len(sys.argv) > 2 else None))

@@ -36,7 +36,7 @@ def launch(playwright: Playwright) -> Browser:
 def open_page(
     context: Browser | BrowserContext, url: str, width: int = 1000, height: int = 700, sharp: float = 0.5
 ) -> Page:
-    """A page at `url`, once it is connected and has drawn the scene. `sharp`: the scene's pixels along one of the page."""
+    """A page at `url`, once it is connected and has drawn the scene. `sharp`: its pixels to one of the page."""
     size: Any = {"width": width, "height": height}
     page = context.new_page(viewport=size) if isinstance(context, Browser) else context.new_page()
     page.set_viewport_size(size)

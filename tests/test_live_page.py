@@ -13,8 +13,10 @@ import pytest
 from playwright.sync_api import Browser, Locator, Page, sync_playwright
 
 from browser import CANVAS, NO_BROWSER, click_electrode, electrode_on_page, launch, open_page, until
+from gelbot.errors import BadInput
 from gelbot.live import colours
 from gelbot.live.between import Between
+from gelbot.live.hand import Hand
 from gelbot.live.plots import History
 from gelbot.live.seat import Seat
 from gelbot.live.serve import Served, serve
@@ -132,6 +134,22 @@ def test_the_last_minute_is_kept_and_no_more() -> None:
     assert len(history.volts()) == len(history.currents()) == 17
     history.add(replace(moment, time=0.0))
     assert len(history.heights()[0]) == 2
+
+
+def test_volts_by_hand_are_remembered_until_a_tick_tells_of_them() -> None:
+    with Toy(camera=False) as toy:
+        hand = Hand(toy)
+        silent = replace(toy.moment(), state="ready", controller="by hand")
+        toy.moment = lambda: silent  # pyright: ignore[reportAttributeAccessIssue]
+        hand.toggle(3, 5.0)
+        assert hand.asked(silent)[3] == 5.0
+        hand.toggle(3, 5.0)
+        hand.put([1, 2], -4.0)
+        assert called(toy, "set_voltage") == [(3, 5.0), (3, 0.0), (1, -4.0), (2, -4.0)]
+        np.testing.assert_allclose(hand.asked(silent)[:4], [0.0, -4.0, -4.0, 0.0])
+        with pytest.raises(BadInput, match="limit"):
+            hand.put([1], 99.0)
+        np.testing.assert_allclose(hand.asked(replace(silent, state="running")), 0.0)
 
 
 def test_colours_are_those_of_the_movie() -> None:
@@ -282,14 +300,34 @@ def test_closing_the_driver_s_tab_stops_at_once(browser: Browser, toy: Toy, serv
 
 @in_browser
 @pytest.mark.slow
-@pytest.mark.parametrize("writing", [False, True])
-def test_escape_stops_also_while_one_writes(browser: Browser, toy: Toy, served: Served, writing: bool) -> None:
+@pytest.mark.parametrize(
+    ("key", "focus"),
+    [("Escape", ""), ("Escape", "height, mm"), ("Space", ""), ("Space", "record")],
+)
+def test_a_key_stops(browser: Browser, toy: Toy, served: Served, key: str, focus: str) -> None:
     page = open_page(browser, served.url)
     try:
-        if writing:
-            _field(page, "height, mm").click()
-        page.keyboard.press("Escape")
+        if focus:
+            _field(page, focus).focus()
+        page.keyboard.press(key)
         assert asked(toy, page, "emergency_stop", "browser 1")
+        page.wait_for_timeout(200)
+        assert called(toy, "record") == []
+    finally:
+        page.close()
+
+
+@in_browser
+@pytest.mark.slow
+def test_the_space_bar_stops_and_presses_no_button(browser: Browser, toy: Toy, served: Served) -> None:
+    page = open_page(browser, served.url)
+    try:
+        page.get_by_role("button", name="reset").focus()
+        page.keyboard.press("Space")
+        assert asked(toy, page, "emergency_stop", "browser 1")
+        page.wait_for_timeout(300)
+        assert called(toy, "reset") == []
+        assert toy.moment().state == "stopped"
     finally:
         page.close()
 

@@ -12,6 +12,8 @@ LONGEST = 0.25
 LAG = 1.2
 """How much longer they are on their way than the last moment took to come: one that comes a little late finds them
 still moving, not standing."""
+SHORTEST = 0.05
+"""Moments that come faster [s] are pictures themselves: a session that moves its gel between ticks makes them."""
 FAR = 0.5
 """A jump of the gel's time [s] that is no motion but another beginning."""
 
@@ -31,7 +33,7 @@ class Between:
             self._last = None
             if before is not None and before.positions.shape == moment.positions.shape:
                 lasted, passed = now - self._came, moment.time - before.time
-                if lasted <= LONGEST and 0.0 < passed < FAR:
+                if SHORTEST <= lasted <= LONGEST and 0.0 < passed < FAR:
                     self._last, self._takes = self._shown(before, now), lasted
             self._newest, self._came = moment, now
         return self._shown(moment, now)

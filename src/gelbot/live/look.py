@@ -30,15 +30,20 @@ button[id="{stop}"]:hover {{ background: #b71312 !important; }}
 
 SCRIPT = """
 document.title = "gelbot";
-if (!window.gelbotEscape) {
-  window.gelbotEscape = true;
+if (!window.gelbotStops) {
+  window.gelbotStops = true;
   window.addEventListener("keydown", (event) => {
     const at = document.activeElement;
-    if (event.key !== "Escape" || !at || !["INPUT", "TEXTAREA", "SELECT"].includes(at.tagName)) return;
+    const isField = at && ["INPUT", "TEXTAREA", "SELECT"].includes(at.tagName);
+    const takesSpace = isField && !at.readOnly && at.type !== "checkbox";
+    if (!(event.key === "Escape" || (event.key === " " && !takesSpace)) || !at) return;
     at.blur();
-    const again = { key: "Escape", code: "Escape", bubbles: true };
+    if (!isField) return;
+    event.preventDefault();
+    const again = { key: event.key, code: event.code, bubbles: true };
     document.documentElement.dispatchEvent(new KeyboardEvent("keydown", again));
   }, true);
 }
 """
-"""The name of the window; and the stop by key, also while a text is written, where viser's own keys are silent."""
+"""The name of the window; and the stop by key where viser's own keys are silent: Escape also in a field, the space bar
+also on a button, which it does not press then."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
+import logging
 import threading
 import time
-from collections.abc import Iterator
+from html import escape
 
 import numpy as np
 import viser
@@ -14,6 +14,7 @@ from viser import _messages as messages
 
 from gelbot.live import look
 from gelbot.live.actions import Actions
+from gelbot.live.hand import Hand
 from gelbot.live.moment import Moment, Stage
 from gelbot.live.panels import Panel, status
 from gelbot.live.plots import Plots
@@ -22,6 +23,8 @@ from gelbot.live.seat import Seat
 from gelbot.live.seats import Seats
 from gelbot.live.shared import Permit
 from gelbot.live.view import FIELD_OF_VIEW, MM, on_screen, view
+
+_log = logging.getLogger(__name__)
 
 RATE = 30.0
 """Pictures a second."""
@@ -81,11 +84,14 @@ class Page:
         gui.main_panel.dock_right()
         gui.main_panel.set_width(RIGHT)
         self._status = gui.add_html("", order=0.1)
-        stop = gui.add_button("EMERGENCY STOP", color="red", order=0.2, hint="Zero volts at once. Key: Escape")
+        stop = gui.add_button(
+            "EMERGENCY STOP", color="red", order=0.2, hint="Zero volts at once. Keys: Escape, space bar"
+        )
         stop.on_click(self._stop_pressed)
         gui.add_html(look.style(stop._impl.uuid), order=0.0)
-        command = gui.add_command("Emergency stop", description="Zero volts at once", hotkey="escape")
-        command.on_trigger(self._stop_pressed)
+        words = "Zero volts at once"
+        gui.add_command("Emergency stop", description=words, hotkey="escape").on_trigger(self._stop_pressed)
+        gui.add_command("Stop", description=words, hotkey="space").on_trigger(self._stop_pressed)
         server._websock_server.queue_message(messages.RunJavascriptMessage(source=look.SCRIPT))
         left = gui.add_panel()
         self._tab = left.add_tab("measured")
@@ -98,7 +104,8 @@ class Page:
         self._scene = Scene(self._server.scene, self._stage)
         on_each(self._scene.electrodes, self._click)
         self._scene.reference.handle.on_update(self._drag)
-        self._panel = Panel(self._server.gui, self._permit, self._actions, self._look)
+        self._hand = Hand(self._actions)
+        self._panel = Panel(self._server.gui, self._permit, self._actions, self._hand, self._look)
         with self._tab:
             self._plots = Plots(self._server.gui, self._stage)
         first = view(self._stage, "body")
@@ -121,16 +128,26 @@ class Page:
         due, number = time.perf_counter(), 0
         shown: Moment | None = None
         while not self._done.is_set():
-            stage = self._actions.stage()
-            with self._server.atomic() if stage is not self._stage else contextlib.nullcontext():
-                if stage is not self._stage:
-                    self._recompose(stage)
-                    shown = None
-            moment = self._actions.moment()
-            self._show(moment, number, moment is not shown)
-            shown, number = moment, number + 1
+            try:
+                shown = self._picture(number, shown)
+            except Exception as error:
+                # Whatever it is: the page goes on, and says so. The loop does not know of it.
+                _log.exception("a picture could not be shown")
+                self._status.content = f'<div class="gelbot-error">{escape(repr(error))}</div>'
+            number += 1
             due = max(due + 1.0 / RATE, time.perf_counter() - 1.0 / RATE)
             self._done.wait(max(0.0, due - time.perf_counter()))
+
+    def _picture(self, number: int, shown: Moment | None) -> Moment:
+        stage = self._actions.stage()
+        if stage is not self._stage:
+            with self._server.atomic():
+                self._recompose(stage)
+        moment = self._actions.moment()
+        if len(moment.given) == len(self._stage.outlines) and moment.positions.shape == self._stage.rest.shape:
+            self._show(moment, number, moment is not shown)
+        # Otherwise it is of a stage that comes or goes just now.
+        return moment
 
     def _show(self, moment: Moment, number: int, is_new: bool) -> None:
         if is_new:
@@ -140,7 +157,7 @@ class Page:
         scene, panel = self._scene, self._panel
         scene.side, scene.show_arrows = panel.side.value, panel.arrows.value
         with self._server.atomic():
-            self.pictures += scene.update(moment, time.perf_counter()) > 0
+            self.pictures += scene.update(moment, self._hand.asked(moment), time.perf_counter()) > 0
         if number % SLOW["picture"] == 0:
             self._plots.show_picture(moment.picture)
         if number % SLOW["status"] == 0:
@@ -157,10 +174,17 @@ class Page:
     async def _go(self, client: viser.ClientHandle) -> None:
         # The volts first, then the rest.
         drove = self.seat.leave(client.client_id)
-        if drove and not self._closing and self._actions.moment().state == "running":
+        if drove and not self._closing and self._may_run():
             self._actions.emergency_stop("the driving browser was closed")
         self._permit.forget(client.client_id)
         self._seats.take_from(client)
+
+    def _may_run(self) -> bool:
+        """Whether the session runs, or cannot say that it does not."""
+        try:
+            return self._actions.moment().state == "running"
+        except Exception:
+            return True
 
     async def _stop_pressed(self, event: viser.GuiEvent | viser.CommandEvent) -> None:
         if event.client_id is not None:
@@ -168,21 +192,14 @@ class Page:
 
     def _click(self, electrode: int, client: viser.ClientHandle) -> None:
         """The brush's volts on a plate that was clicked, none on one that has them."""
-        moment, brush = self._actions.moment(), self._panel.brush.value
-        has = moment.controller == "by hand" and abs(float(moment.asked[electrode]) - brush) < 1e-6
-        self._permit.do(client, lambda: self._actions.set_voltage(electrode, 0.0 if has else brush))
+        self._permit.do(client, lambda: self._hand.toggle(electrode, self._panel.brush.value))
 
     async def _paint_inside(self, event: viser.SceneRectSelectEvent) -> None:
         """The brush's volts on all plates whose middle lies in the rectangle."""
         places = self.places(event.client)
         low, high = np.array(event.screen_min)[:, None], np.array(event.screen_max)[:, None]
-        inside = np.flatnonzero(np.all((places >= low) & (places <= high), axis=0))
-
-        def paint() -> None:
-            for electrode in inside.tolist():
-                self._actions.set_voltage(electrode, self._panel.brush.value)
-
-        self._permit.do(event.client, paint)
+        inside = np.flatnonzero(np.all((places >= low) & (places <= high), axis=0)).tolist()
+        self._permit.do(event.client, lambda: self._hand.put(inside, self._panel.brush.value))
 
     async def _drag(self, event: viser.TransformControlsEvent) -> None:
         """The reference is dragged by its handle."""
@@ -204,13 +221,3 @@ class Page:
         with client.atomic():
             client.camera.position, client.camera.look_at = seen.position, seen.target
             client.camera.up_direction = (0.0, 0.0, 1.0)
-
-
-@contextlib.contextmanager
-def shown(server: viser.ViserServer, actions: Actions) -> Iterator[Page]:
-    """A page for the time of a block."""
-    page = Page(server, actions)
-    try:
-        yield page
-    finally:
-        page.close()

@@ -9,13 +9,14 @@ from typing import Any
 import viser
 
 from gelbot.live.actions import Actions
+from gelbot.live.hand import Hand
 from gelbot.live.moment import Moment
 from gelbot.live.scene import BESIDE, HIDDEN, OVERLAID
 from gelbot.live.shared import Permit, Shared, on_press
 from gelbot.live.view import MM, VIEWS
 
 PACES: dict[str, float | None] = {"1x": 1.0, "2x": 2.0, "4x": 4.0, "fastest": None}
-STATES = {"running": "#009E73", "paused": "#E69F00", "stopped": "#c92a2a", "ready": "#0072B2"}
+STATES = {"running": "#009E73", "paused": "#E69F00", "stopped": "#c92a2a", "ready": "#0072B2", "building": "#7a5195"}
 RUN = ("start", "pause", "step", "reset")
 
 
@@ -27,9 +28,10 @@ class Panel:
         gui: viser.GuiApi,
         permit: Permit,
         actions: Actions,
+        hand: Hand,
         look: Callable[[viser.ClientHandle, str], None],
     ) -> None:
-        self._gui, self._permit, self._actions, self._look = gui, permit, actions, look
+        self._gui, self._permit, self._actions, self._hand, self._look = gui, permit, actions, hand, look
         self.stage = actions.stage()
         self._parts: list[Any] = []
         self._error: viser.GuiHtmlHandle | None = None
@@ -88,12 +90,11 @@ class Panel:
                 pattern = gui.add_dropdown("pattern", self.stage.patterns)
                 self.pattern: Shared[str] = Shared(self._permit, pattern)
                 put = gui.add_button("set pattern at the brush's volts", color="gray")
-                on_press(self._permit, put, lambda: self._actions.set_pattern(self.pattern.value, self.brush.value))
+                on_press(self._permit, put, lambda: self._hand.pattern(self.pattern.value, self.brush.value))
             on_press(self._permit, gui.add_button("all zero", color="gray"), self._all_zero)
 
     def _all_zero(self) -> None:
-        for electrode in range(len(self.stage.outlines)):
-            self._actions.set_voltage(electrode, 0.0)
+        self._hand.put(range(len(self.stage.outlines)), 0.0)
 
     def _reference(self) -> None:
         gui, actions = self._gui, self._actions

@@ -18,6 +18,8 @@ from gelbot.show.style import ORANGE, PURPLE
 MOST_LABELS = 40
 """Of more electrodes than these the numbers are left out: they would cover each other."""
 OVERLAID, BESIDE, HIDDEN = "overlaid", "side by side", "hidden"
+VISIBLE = 0.05
+"""Volts that are told."""
 CLOSE = 1e-3
 """A reference that moves by less [mm] is where it was."""
 
@@ -31,7 +33,7 @@ class Scene:
         self._root = scene.add_frame("/stage", show_axes=False)
         self._draw_tank()
         self.electrodes = [self._electrode(k) for k in range(len(stage.outlines))]
-        self._volts = np.zeros(len(stage.outlines))
+        self._volts = np.zeros((2, len(stage.outlines)))
         self._labels = self._draw_labels()
         self._gel = scene.add_frame("/stage/gel", show_axes=False)
         self._skin, self._between = Skin(scene, "/stage/gel", stage.faces), Between()
@@ -43,10 +45,13 @@ class Scene:
         self.show_arrows, self.side = True, OVERLAID
         self.reference = _Reference(scene, self.middle, self.breadth)
 
-    def update(self, moment: Moment, now: float) -> int:
-        """Show this moment at `now` [s of the wall clock]. Returns how many meshes of the gel were sent."""
+    def update(self, moment: Moment, asked: NDArray[np.float64], now: float) -> int:
+        """Show this moment at `now` [s of the wall clock]; `asked` [V] (e,) is told where it is not what is given.
+
+        Returns how many meshes of the gel were sent.
+        """
         sent = self._skin.update(self._between.positions(moment, now) * MM, moment.adsorption)
-        self._paint(moment.given)
+        self._paint(moment.given, asked)
         self._seen.update(moment.observed, self.side, self._offset())
         arrows = moment.arrows if self.show_arrows else moment.arrows[:0]
         if len(arrows):
@@ -129,13 +134,13 @@ class Scene:
             for k, (name, place) in enumerate(zip(self.stage.electrode_names, places, strict=True))
         ]  # fmt: skip
 
-    def _paint(self, volts: NDArray[np.float64]) -> None:
-        for k in np.flatnonzero(np.abs(volts - self._volts) > 1e-3):
-            self.electrodes[k].color = colours.of_volts(volts[k], self.stage.limit)
+    def _paint(self, given: NDArray[np.float64], asked: NDArray[np.float64]) -> None:
+        volts = np.stack([given, asked])
+        for k in np.flatnonzero(np.abs(volts - self._volts).max(axis=0) > 1e-3):
+            self.electrodes[k].color = colours.of_volts(given[k], self.stage.limit)
             if self._labels:
-                name = self.stage.electrode_names[k]
-                self._labels[k].text = f"{name}  {volts[k]:+.1f} V" if abs(volts[k]) >= 0.05 else name
-            self._volts[k] = volts[k]
+                self._labels[k].text = _label(self.stage.electrode_names[k], given[k], asked[k])
+        self._volts = volts
 
 
 class _Skeleton:
@@ -251,3 +256,10 @@ def on_each(electrodes: list[viser.MeshHandle], clicked: Callable[[int, viser.Cl
 def _loop(rim: NDArray[np.float64]) -> NDArray[np.float64]:
     """The edges (k, 2, 3) of a closed rim (3, k)."""
     return np.stack([rim.T, np.roll(rim, -1, axis=1).T], axis=1)
+
+
+def _label(name: str, given: float, asked: float) -> str:
+    """An electrode's name and volts; also those that it was asked to have and has not."""
+    if abs(asked - given) >= VISIBLE:
+        return f"{name}  {given:+.1f} V, asked {asked:+.1f}"
+    return f"{name}  {given:+.1f} V" if abs(given) >= VISIBLE else name
