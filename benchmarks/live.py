@@ -25,6 +25,7 @@ TICK = 3e-3
 WIDTH, HEIGHT = 1000, 700
 FRAMES = "window.__viserTestpoints.rendererInfo.render.frame"
 CLOSINGS = 5
+SWITCH = 2e-4
 
 
 def busy() -> None:
@@ -55,6 +56,8 @@ def pictures() -> Rows:
     from gelbot.live.serve import serve
     from gelbot.live.toy import Toy
 
+    # As a session has it: a thread that computes gives way soon, so that a tick does not wait Python's usual 5 ms.
+    sys.setswitchinterval(SWITCH)
     with Toy(busy, keep_running=True) as toy:
         time.sleep(ALONE)
         alone = 1e3 * float(np.percentile(toy.spent, 99))

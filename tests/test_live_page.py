@@ -18,6 +18,7 @@ from gelbot.live import colours
 from gelbot.live.between import Between
 from gelbot.live.hand import Hand
 from gelbot.live.plots import History
+from gelbot.live.scene import short
 from gelbot.live.seat import Seat
 from gelbot.live.serve import Served, serve
 from gelbot.live.toy import Toy
@@ -150,6 +151,13 @@ def test_volts_by_hand_are_remembered_until_a_tick_tells_of_them() -> None:
         with pytest.raises(BadInput, match="limit"):
             hand.put([1], 99.0)
         np.testing.assert_allclose(hand.asked(replace(silent, state="running")), 0.0)
+
+
+def test_names_lose_what_they_share() -> None:
+    assert short(["electrode 0", "electrode 11"]) == ["0", "11"]
+    assert short(["left ring", "right ring"]) == ["left ring", "right ring"]
+    assert short(["only one"]) == ["only one"]
+    assert short(["a", "a"]) == ["a", "a"]
 
 
 def test_colours_are_those_of_the_movie() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable
 
 import numpy as np
@@ -12,6 +13,8 @@ from gelbot.live.actions import Actions
 from gelbot.live.moment import Moment
 
 HAND = "by hand"
+GRACE = 0.5
+"""Seconds that a session has to seat the hand where something else drove."""
 SAME = 1e-6
 """Voltages that differ by less [V] are one."""
 
@@ -22,6 +25,7 @@ class Hand:
     def __init__(self, actions: Actions) -> None:
         self._actions = actions
         self._put: dict[int, float] = {}
+        self._when = -GRACE
 
     def put(self, electrodes: Iterable[int], volts: float) -> None:
         """These electrodes at `volts` [V]; those that refuse are left out. Raises `BadInput` when all of them do."""
@@ -32,7 +36,7 @@ class Hand:
             except BadInput as error:
                 refused = error
             else:
-                self._put[electrode], done = volts, True
+                self._put[electrode], self._when, done = volts, time.monotonic(), True
         if refused is not None and not done:
             raise refused
 
@@ -49,10 +53,13 @@ class Hand:
 
     def asked(self, moment: Moment) -> NDArray[np.float64]:
         """What the electrodes are to have [V], (e,)."""
-        if moment.state == "running" or moment.controller != HAND:
+        if moment.state == "stopped":
+            return moment.given
+        is_new = time.monotonic() - self._when < GRACE
+        if moment.state == "running" or (moment.controller != HAND and not is_new):
             self._put.clear()
             return moment.asked
         asked = moment.asked.copy()
-        for electrode, volts in self._put.items():
+        for electrode, volts in list(self._put.items()):
             asked[electrode] = volts
         return asked

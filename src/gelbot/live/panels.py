@@ -128,7 +128,7 @@ class Panel:
             names.insert(0, self.stage.name)
         with self._keep(gui.add_folder("scenario", expand_by_default=False)):
             scenario = gui.add_dropdown("scenario", names, initial_value=self.stage.name)
-            self.scenario: Shared[str] = Shared(self._permit, scenario, actions.choose)
+            self.scenario: Shared[str] = Shared(self._permit, scenario, actions.choose, slow=True)
             gui.add_html(f'<div class="gelbot-hint">{escape(" ".join(self.stage.description.split()))}</div>')
 
     def _settings(self) -> None:
@@ -142,7 +142,8 @@ class Panel:
             self._error = gui.add_html("", visible=False)
             build = gui.add_button("build", color="gray", hint="Nothing changes before. Begins anew")
 
-            async def pressed(event: Any) -> None:
+            # No coroutine: it is checked by a thread beside the server's, which must hear a stop meanwhile.
+            def pressed(event: Any) -> None:
                 if event.client is not None:
                     self._permit.do(event.client, self._build)
 
@@ -171,7 +172,7 @@ def status(moment: Moment) -> str:
     badge = f'<span class="gelbot-state" style="background:{STATES.get(moment.state, "#666")}">{state}</span>'
     record = '<span class="gelbot-record">&#9679; recording</span>' if moment.recording else ""
     where = f"{badge} <b>{moment.time:.1f} s</b> {escape(moment.phase)}{record}"
-    took = f"tick {1e3 * ticks.median:.1f} ms, 99 % {1e3 * ticks.p99:.1f} ms, {ticks.late} late of {ticks.count}"
+    took = f"tick {1e3 * ticks.median:.1f} ms, 99 % {1e3 * ticks.p99:.1f}, {ticks.late} of {ticks.count} late"
     loop = f"{escape(moment.controller)} &middot; {took if ticks.count else 'no ticks yet'}"
     message = f'<div class="gelbot-message">{escape(moment.message)}</div>' if moment.message else ""
     return f'<div class="gelbot-status"><div>{where}</div><div class="gelbot-small">{loop}</div>{message}</div>'

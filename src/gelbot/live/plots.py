@@ -23,7 +23,10 @@ HEIGHT = 118
 """Of a plot [px]."""
 COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, "#7f7f7f", "#b5a800")
 BLANK = np.full((48, 64, 3), 240, dtype=np.uint8)
-GAP = 1.4
+WIDTH = 1.4
+"""Of a line [px]."""
+HIGHEST = 0.55
+"""What is shown of heights, as a share of the gel's breadth: one that stands on its arms is half as high as broad."""
 
 
 class History:
@@ -48,7 +51,9 @@ class History:
         seen = float("nan") if moment.observed is None else float(moment.observed.centre[2])
         simulated = float(moment.positions[2, self._middle].mean())
         heights = np.array([moment.time, seen * 1e3, simulated * 1e3, moment.reference * 1e3])
-        self._rows.append(np.concatenate([heights, moment.given, moment.currents * 1e3]))
+        self._rows.append(
+            np.concatenate([heights, np.nan_to_num(np.concatenate([moment.given, moment.currents * 1e3]))])
+        )
         while float(self._rows[-1][0] - self._rows[0][0]) > SPAN:
             self._rows.popleft()
         return True
@@ -67,7 +72,7 @@ class History:
 
     def _columns(self, columns: slice | list[int]) -> Lines:
         # A line needs two points: before there are any, it lies at zero.
-        rows = np.array(self._rows) if len(self._rows) > 1 else np.outer([0.0, 1e-9], np.ones(4 + 2 * self._count))
+        rows = np.array(self._rows) if len(self._rows) > 1 else np.eye(2, 4 + 2 * self._count, k=-1)
         return tuple(np.ascontiguousarray(column) for column in rows[:, columns].T)
 
 
@@ -84,8 +89,11 @@ class Plots:
             self._picture = gui.add_image(BLANK, format="jpeg", jpeg_quality=80)
             self._parts.append(self._picture)
         count = len(stage.outlines)
-        three = (("seen", BLUE), ("model", FAINT), ("reference", ORANGE))
-        self._heights = self._plot(gui, _title("height, mm", three), self._history.heights(), three)
+        three = (("seen", BLUE), ("model", FAINT), ("wanted", ORANGE))
+        # Limits of its own choice uPlot finds only where there are numbers, and a height may be unknown.
+        breadth = 1e3 * float(np.ptp(stage.rest[:2], axis=1).max())
+        tall = (0.0, HIGHEST * breadth)
+        self._heights = self._plot(gui, _title("height, mm", three), self._history.heights(), three, tall)
         each = [(name, COLOURS[k % len(COLOURS)]) for k, name in enumerate(stage.electrode_names[:count])]
         limits = (-1.05 * stage.limit, 1.05 * stage.limit)
         self._volts = self._plot(gui, _title("voltages, V", ()), self._history.volts(), each, limits)
@@ -121,7 +129,9 @@ class Plots:
         series: Any,
         limits: tuple[float, float] | None = None,
     ) -> viser.GuiUplotHandle:
-        drawn = [uplot.Series(label=name, stroke=colour, width=GAP, points={"show": False}) for name, colour in series]
+        drawn = [
+            uplot.Series(label=name, stroke=colour, width=WIDTH, points={"show": False}) for name, colour in series
+        ]
         scale = uplot.Scale(auto=True) if limits is None else uplot.Scale(auto=False, range=limits)
         thin = {"stroke": "#eeeeee", "width": 1}
         axis = uplot.Axis(stroke=FAINT, grid=thin, ticks=thin, size=34, font="11px sans-serif")  # pyright: ignore

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import viser
@@ -34,6 +34,7 @@ class Scene:
         self._draw_tank()
         self.electrodes = [self._electrode(k) for k in range(len(stage.outlines))]
         self._volts = np.zeros((2, len(stage.outlines)))
+        self._names = short(stage.electrode_names)
         self._labels = self._draw_labels()
         self._gel = scene.add_frame("/stage/gel", show_axes=False)
         self._skin, self._between = Skin(scene, "/stage/gel", stage.faces), Between()
@@ -131,7 +132,7 @@ class Scene:
             self._scene.add_label(
                 f"/stage/labels/{k}", name, position=tuple(place), anchor="center-center", font_screen_scale=0.8,
             )
-            for k, (name, place) in enumerate(zip(self.stage.electrode_names, places, strict=True))
+            for k, (name, place) in enumerate(zip(self._names, places, strict=True))
         ]  # fmt: skip
 
     def _paint(self, given: NDArray[np.float64], asked: NDArray[np.float64]) -> None:
@@ -139,7 +140,7 @@ class Scene:
         for k in np.flatnonzero(np.abs(volts - self._volts).max(axis=0) > 1e-3):
             self.electrodes[k].color = colours.of_volts(given[k], self.stage.limit)
             if self._labels:
-                self._labels[k].text = _label(self.stage.electrode_names[k], given[k], asked[k])
+                self._labels[k].text = _label(self._names[k], given[k], asked[k])
         self._volts = volts
 
 
@@ -253,13 +254,22 @@ def on_each(electrodes: list[viser.MeshHandle], clicked: Callable[[int, viser.Cl
         electrode.on_click(on_click)
 
 
+def short(names: Sequence[str]) -> list[str]:
+    """The names without the words with which all of them begin: "electrode 3" is "3" beside "electrode 4"."""
+    words = [name.split(" ") for name in names]
+    same = 0
+    while len(words) > 1 and all(len(w) > same + 1 and w[same] == words[0][same] for w in words):
+        same += 1
+    return [" ".join(w[same:]) for w in words]
+
+
 def _loop(rim: NDArray[np.float64]) -> NDArray[np.float64]:
     """The edges (k, 2, 3) of a closed rim (3, k)."""
     return np.stack([rim.T, np.roll(rim, -1, axis=1).T], axis=1)
 
 
 def _label(name: str, given: float, asked: float) -> str:
-    """An electrode's name and volts; also those that it was asked to have and has not."""
+    """An electrode's name and volts; in brackets those that it was asked to have and has not."""
     if abs(asked - given) >= VISIBLE:
-        return f"{name}  {given:+.1f} V, asked {asked:+.1f}"
+        return f"{name}  {given:+.1f} V ({asked:+.1f})"
     return f"{name}  {given:+.1f} V" if abs(given) >= VISIBLE else name

@@ -55,13 +55,16 @@ class Permit:
 
 class Shared(Generic[T]):
     """A control with a value: `act` is called with what the driver chose; if that fails, or a watcher chose, the value
-    goes back to what it was."""
+    goes back to what it was. What is `slow` is done beside the server's own thread, which must hear a stop meanwhile.
+    """
 
-    def __init__(self, permit: Permit, handle: Any, act: Callable[[T], object] | None = None) -> None:
+    def __init__(
+        self, permit: Permit, handle: Any, act: Callable[[T], object] | None = None, slow: bool = False
+    ) -> None:
         self.handle: Any = handle
         self._permit, self._act = permit, act
         self.value: T = handle.value
-        handle.on_update(self._asked)
+        handle.on_update(self._asked if slow else self._asked_soon)
 
     def put(self, value: T) -> None:
         """Show another value without acting on it."""
@@ -69,7 +72,10 @@ class Shared(Generic[T]):
             self.value = value
             self.handle.value = value
 
-    async def _asked(self, event: Any) -> None:
+    async def _asked_soon(self, event: Any) -> None:
+        self._asked(event)
+
+    def _asked(self, event: Any) -> None:
         # Without a browser it was the program itself that put the value there.
         if event.client is None:
             return
