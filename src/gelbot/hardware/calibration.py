@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelbot.errors import BadInput
+from gelbot.hardware.open_cv import cv2_of
 from gelbot.units import quantity
 
 Floats = NDArray[np.float64]
@@ -93,7 +94,7 @@ class Calibration:
         return self.middle[:, None] + self.scale * grown * flat * np.array([[1.0], [-1.0]])
 
     def back(self, pixels: Floats, depth: float = 0.0) -> Floats:
-        """Points [m] (3, n) that are seen at `pixels` (2, n), in the plane `depth` [m] nearer to the camera than `place`."""
+        """Points [m] (3, n) seen at `pixels` (2, n), in the plane `depth` [m] nearer to the camera than `place`."""
         bent = (pixels - self.middle[:, None]) * np.array([[1.0], [-1.0]]) / self.scale
         flat = bent.copy()
         for _ in range(20):  # of a contraction: the distortion is small
@@ -102,7 +103,7 @@ class Calibration:
         return np.array(self.place)[:, None] + self.axes.T @ np.vstack([flat, np.full(flat.shape[1], depth)])
 
     def on_floor(self, pixels: Floats, height: float = 0.0) -> Floats:
-        """Points [m] (3, n) at `height` [m] above the floor that are seen at `pixels`; inf where a ray does not meet it."""
+        """Points [m] (3, n) at `height` [m] above the floor seen at `pixels`; inf where a ray does not meet it."""
         near, far = self.back(pixels, 0.0), self.back(pixels, -1e-3)
         with np.errstate(divide="ignore", invalid="ignore"):
             share = (height - near[2]) / (far[2] - near[2])
@@ -243,7 +244,7 @@ def from_points(
 
 def _changed(old: Calibration, name: str, by: float) -> Calibration:
     if name in ("place_right", "place_up"):
-        x, y, z = (float(v) for v in np.array(old.place) + by * old.axes[name == "place_up"])
+        x, y, z = (float(v) for v in np.array(old.place) + by * old.axes[int(name == "place_up")])
         return replace(old, place=(x, y, z))
     return replace(old, **{name: getattr(old, name) + by})
 
@@ -251,3 +252,58 @@ def _changed(old: Calibration, name: str, by: float) -> Calibration:
 def as_table(calibration: Calibration) -> dict[str, Any]:
     """Plain numbers in SI units, for a page or a log."""
     return {**asdict(calibration), "place": list(calibration.place)}
+
+
+def from_checkerboard(
+    picture: NDArray[np.uint8], corners: tuple[int, int], square: float, first: Floats, guess: Calibration
+) -> Calibration:
+    """A calibration from a picture of a printed checkerboard, upright (side) or flat on the floor (above).
+
+    `corners`: how many inner corners a row and a column have, `square` [m]: the side of a square. `first` [m] (3,):
+    where the inner corner stands that is seen lower left; the board faces the camera of the `guess`, whose view,
+    azimuth, elevation and distance are kept. Raises `BadInput` when the board is not found.
+    """
+    cv2 = cv2_of("calibration")
+    grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+    found, places = cv2.findChessboardCornersSB(grey, corners)
+    if not found:
+        given = f"no board of {corners[0]} x {corners[1]} inner corners"
+        raise BadInput("calibration: picture", given, "all inner corners in the picture, sharp, without reflections")
+    grid = places.reshape(corners[1], corners[0], 2).astype(float)
+    # Whichever corner OpenCV begins with: rows to the right, columns upwards.
+    if abs(grid[0, -1, 0] - grid[0, 0, 0]) < abs(grid[-1, 0, 0] - grid[0, 0, 0]):
+        grid = grid.transpose(1, 0, 2)
+    grid = grid[:, ::-1] if grid[0, -1, 0] < grid[0, 0, 0] else grid
+    grid = grid[::-1] if grid[-1, 0, 1] > grid[0, 0, 1] else grid
+    rows, columns = np.mgrid[: grid.shape[0], : grid.shape[1]]
+    flat = replace(guess, roll=0.0, elevation=0.0 if guess.view == "side" else np.pi / 2.0).axes
+    points = first[:, None] + square * (flat[0][:, None] * columns.ravel() + flat[1][:, None] * rows.ravel())
+    pixels = grid.reshape(-1, 2).T
+    span = float(np.linalg.norm(pixels[:, -1] - pixels[:, 0]) / np.linalg.norm(points[:, -1] - points[:, 0]))
+    x, y, z = (float(v) for v in points.mean(axis=1))
+    height, width = grey.shape
+    near = replace(guess, scale=span, place=(x, y, z), width=width, height=height)
+    return from_points(near, points, pixels, ("scale", "place_right", "place_up", "roll", "distortion"))
+
+
+def write_checkerboard(path: Path, corners: tuple[int, int] = (9, 6), square: float = 2e-3) -> None:
+    """An SVG of a checkerboard with that many inner corners, squares of `square` [m], true to scale at 100 %.
+
+    A scale of 10 mm is printed below it: measure that, for many printers shrink.
+    """
+    columns, rows, side = corners[0] + 1, corners[1] + 1, square * 1e3
+    width, height = max((columns + 2) * side, 14.0), (rows + 2) * side + 4.0
+    squares = "".join(
+        f'<rect x="{(c + 1) * side:.4f}" y="{(r + 1) * side:.4f}" width="{side:.4f}" height="{side:.4f}"/>'
+        for r in range(rows)
+        for c in range(columns)
+        if (r + c) % 2 == 0
+    )
+    rule = f'<rect x="2" y="{height - 3.0:.4f}" width="10" height="0.3"/>'
+    text = f'<text x="2" y="{height - 0.8:.4f}" font-size="1.6">10 mm; squares {side:g} mm</text>'
+    path.write_text(
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.4f}mm" height="{height:.4f}mm" '
+        f'viewBox="0 0 {width:.4f} {height:.4f}"><rect width="100%" height="100%" fill="#fff"/>'
+        f"{squares}{rule}{text}</svg>\n",
+        encoding="utf-8",
+    )

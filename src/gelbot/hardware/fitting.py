@@ -23,13 +23,13 @@ from gelbot.hardware.umbrella import ORDERS, Pose, Umbrella
 
 Floats = NDArray[np.float64]
 
-SAMPLES = 140
+SAMPLES = 110
 """Points of each outline that are compared."""
 EDGE_NOISE = 3.0
-"""Standard deviation [px] given to a distance: neighbouring ones are wrong together, and the umbrella is not the gel."""
+"""Standard deviation [px] given to a distance: neighbours are wrong together, and the umbrella is not the gel."""
 OUTLIER = 4.0
 """Distance [px] from which on a point counts less and less."""
-FLOOR_NOISE = 0.04e-3
+FLOOR_NOISE = 0.08e-3
 """How deep a point may stand in the floor, and how high the lowest above it [m]: a standard deviation."""
 AGREEING = 0.2
 """Cosine of the angle between the normals of two points that may be the same."""
@@ -48,7 +48,7 @@ class Expected:
     seen_turn: float = 1.2
     hidden_turn: float = 0.05
     seen_move: float = 5e-3
-    hidden_move: float = 0.1e-3
+    hidden_move: float = 0.03e-3
     bend: tuple[float, float, float] = (0.8, 0.8, 0.4)
     swing: float = 0.15
     shrink: float = 0.02
@@ -86,10 +86,14 @@ class Fit(NamedTuple):
     cost: float
 
 
-def draw(sheet: Umbrella, calibration: Calibration, pose: Pose) -> Drawn | None:
-    """The outline of the umbrella in the picture, or None where it is not in it."""
+def draw(sheet: Umbrella, calibration: Calibration, pose: Pose, body: Floats | None = None) -> Drawn | None:
+    """The outline of the umbrella in the picture, or None where it is not in it.
+
+    `body` [m] (3, n): its surface in its own frame, if that is known already.
+    """
     cv2 = cv2_of("a camera")
-    surface = pose.rotation @ sheet.surface(pose.numbers, pose.rest) + pose.centre[:, None]
+    body = sheet.surface(pose.numbers, pose.rest) if body is None else body
+    surface = pose.rotation @ body + pose.centre[:, None]
     pixels = calibration.project(surface)
     low, high = np.floor(pixels.min(axis=1)) - 4, np.ceil(pixels.max(axis=1)) + 5
     if not np.all(np.isfinite(pixels)) or max(high - low) > 4 * max(calibration.width, calibration.height):
@@ -114,7 +118,7 @@ def draw(sheet: Umbrella, calibration: Calibration, pose: Pose) -> Drawn | None:
     on = triangle >= 0  # the rim of a hole lies outside
     rim, triangle = rim[on], triangle[on]
     point = rim.T.astype(float)
-    weights = _weights(point, *(v[:, triangle] for v in (a, b, c)), area[triangle])
+    weights = _weights(point, a[:, triangle], b[:, triangle], c[:, triangle], area[triangle])
     outward = outward_normals(mask, point.astype(np.float32))
     edge = np.einsum("ik,xik->xk", weights, local[:, sheet.triangles[:, triangle]]) + low[:, None]
     return Drawn(edge, outward, sheet.triangles[:, triangle], weights, mask, corner)
@@ -137,7 +141,7 @@ def fit(
     elapsed: float,
     expected: Expected,
     known: Likely | None = None,
-    iterations: int = 5,
+    iterations: int = 4,
 ) -> Fit | None:
     """The pose whose silhouette is `seen`, `elapsed` [s] after the pose `last`, searched from `first` on.
 
@@ -148,37 +152,50 @@ def fit(
     prior = _prior(sheet, calibration, last, elapsed, expected, known)
     first = first if known is None else first._replace(rest=known.rest)
     pose, moved = first, _between(calibration, last, first)
+    information = np.eye(6 + sheet.number_count)
     for _ in range(iterations):
-        drawn = draw(sheet, calibration, pose)
+        body = sheet.surface(pose.numbers, pose.rest)
+        drawn = draw(sheet, calibration, pose, body)
         if drawn is None:
             return None
-        rows, missed = _outline_rows(sheet, calibration, pose, drawn, edge, outward)
+        height = pose.rotation[2] @ body + pose.centre[2]
+        standing = _standing(height)
+        at, place = np.unique(np.append(drawn.corners.ravel(), standing), return_inverse=True)
+        slopes = surface_slopes(sheet, calibration, pose, body, at)
+        points = pose.rotation @ body[:, at] + pose.centre[:, None]
+        pairs = _pairs(drawn, edge, outward)
+        missed = _missed(pairs, drawn, edge, outward)
+        of_edge = place[: drawn.corners.size].reshape(drawn.corners.shape)
+        rows = _outline_rows(calibration, points, slopes, drawn.weights, of_edge, pairs, outward)
         scale = max(OUTLIER, 1.5 * float(np.median(np.abs(missed))))
         trust = 1.0 / (EDGE_NOISE * np.sqrt(1.0 + (missed / scale) ** 2))
-        floor_rows, floor_missed = _floor_rows(sheet, calibration, pose)
-        information = (rows * trust[:, None] ** 2).T @ rows + floor_rows.T @ floor_rows
-        force = rows.T @ (trust**2 * missed) + floor_rows.T @ floor_missed
+        floor_rows = slopes[2, place[drawn.corners.size :]] / FLOOR_NOISE
+        trusted = rows * trust[:, None]
+        information = trusted.T @ trusted + floor_rows.T @ floor_rows
+        force = trusted.T @ (trust * missed) - floor_rows.T @ (height[standing] / FLOOR_NOISE)
         prior_rows, prior_missed = prior.at(pose.numbers, moved)
         information += prior_rows.T @ prior_rows
         force += prior_rows.T @ prior_missed
-        change = np.linalg.solve(information, force)
-        biggest = np.max(np.abs(change[:3]))
+        change = np.asarray(np.linalg.solve(information, force), np.float64)
+        biggest = float(np.max(np.abs(change[:3])))
         if biggest > 0.4:
             change = change * (0.4 / biggest)
         pose, moved = _moved(calibration, pose, change), moved + change[:6]
         if np.max(np.abs(change[3:6])) < 4e-6 and biggest < 2e-3:
             break
-    drawn = draw(sheet, calibration, pose)
+    body = sheet.surface(pose.numbers, pose.rest)
+    drawn = draw(sheet, calibration, pose, body)
     if drawn is None:
         return None
-    _, missed = _outline_rows(sheet, calibration, pose, drawn, edge, outward)
+    missed = _missed(_pairs(drawn, edge, outward), drawn, edge, outward)
     misfit = float(np.sqrt(np.mean(missed**2)))
     scale = OUTLIER / EDGE_NOISE
     data = float(np.sum(scale**2 * np.log1p((missed / OUTLIER) ** 2)))
     _, unlikely = prior.at(pose.numbers, moved)
-    _, floor_missed = _floor_rows(sheet, calibration, pose)
+    height = pose.rotation[2] @ body + pose.centre[2]
+    floor_missed = height[_standing(height)] / FLOOR_NOISE
     cost = data + float(np.sum(unlikely[len(moved) + len(pose.numbers) :] ** 2)) + float(np.sum(floor_missed**2))
-    return Fit(pose, misfit, overlap(seen, drawn), np.linalg.inv(information), drawn, cost)
+    return Fit(pose, misfit, overlap(seen, drawn), np.asarray(np.linalg.inv(information), np.float64), drawn, cost)
 
 
 def supposed(sheet: Umbrella, calibration: Calibration, seen: Silhouette, last: Pose, known: Likely) -> Pose | None:
@@ -190,7 +207,7 @@ def supposed(sheet: Umbrella, calibration: Calibration, seen: Silhouette, last: 
         return None
     columns = np.flatnonzero(drawn.mask.any(axis=0)) + drawn.corner[0]
     rows = np.flatnonzero(drawn.mask.any(axis=1)) + drawn.corner[1]
-    x0, y0, x1, y1 = seen.box
+    x0, _, x1, y1 = seen.box
     right, down = (x0 + x1 - 1 - columns[0] - columns[-1]) / 2.0, float(y1 - 1 - rows[-1])
     moved = (calibration.axes[0] * right - calibration.axes[1] * down) / calibration.scale
     return pose._replace(centre=pose.centre + moved)
@@ -209,39 +226,47 @@ def _moved(calibration: Calibration, pose: Pose, change: Floats) -> Pose:
 
 
 def surface_slopes(
-    sheet: Umbrella, calibration: Calibration, pose: Pose, at: NDArray[np.int64]
-) -> tuple[Floats, Floats]:
-    """World points [m] (3, q) of the surface's points `at`, and their derivatives (3, q, 6 + d): turn, move, numbers."""
-    body = sheet.surface(pose.numbers, pose.rest)[:, at]
-    arm = pose.rotation @ body
+    sheet: Umbrella, calibration: Calibration, pose: Pose, body: Floats, at: NDArray[np.int64]
+) -> Floats:
+    """Derivatives (3, q, 6 + d) of the places [m] of the points `at` (q,) of the surface `body` (3, n): by turn and
+    move about the axes of the picture, and by the numbers."""
+    arm = pose.rotation @ body[:, at]
     turn = np.cross(calibration.axes[:, :, None], arm[None], axisa=1, axisb=1, axisc=1)  # (axis, 3, q)
     move = np.broadcast_to(calibration.axes[:, :, None], turn.shape)
-    numbers = np.einsum("ij,jqd->iqd", pose.rotation, sheet.slopes(pose.numbers, at))
-    pose_part = np.concatenate([turn, move]).transpose(1, 2, 0)
-    return arm + pose.centre[:, None], np.concatenate([pose_part, numbers], axis=2)
+    slopes = sheet.slopes(pose.numbers, at)
+    numbers = (pose.rotation @ slopes.reshape(3, -1)).reshape(slopes.shape)
+    return np.concatenate([np.concatenate([turn, move]).transpose(1, 2, 0), numbers], axis=2)
+
+
+def _pairs(drawn: Drawn, edge: Floats, outward: Floats) -> NDArray[np.int64]:
+    """Which point seen belongs to which drawn, (2, r): to each of them the nearest of the others."""
+    apart = np.sum(edge**2, axis=0)[:, None] - 2.0 * edge.T @ drawn.edge + np.sum(drawn.edge**2, axis=0)
+    apart += 400.0 * (outward.T @ drawn.outward < AGREEING)
+    seen, shown = np.arange(edge.shape[1]), np.arange(drawn.edge.shape[1])
+    return np.stack([np.append(seen, np.argmin(apart, axis=0)), np.append(np.argmin(apart, axis=1), shown)])
+
+
+def _missed(pairs: NDArray[np.int64], drawn: Drawn, edge: Floats, outward: Floats) -> Floats:
+    """By how much [px] (r,) the drawn outline must move, across the one that is seen."""
+    seen, shown = pairs
+    return np.sum(outward[:, seen] * (edge[:, seen] - drawn.edge[:, shown]), axis=0)
 
 
 def _outline_rows(
-    sheet: Umbrella, calibration: Calibration, pose: Pose, drawn: Drawn, edge: Floats, outward: Floats
-) -> tuple[Floats, Floats]:
-    """Derivatives (r, 6 + d) of the drawn outline across the one seen, and by how much [px] (r,) it must move."""
-    apart = np.sum((edge[:, :, None] - drawn.edge[:, None, :]) ** 2, axis=0)
-    apart += np.where(outward.T @ drawn.outward < AGREEING, 400.0, 0.0)
-    to_drawn, to_seen = np.argmin(apart, axis=1), np.argmin(apart, axis=0)
-    pairs = np.concatenate([
-        np.stack([np.arange(edge.shape[1]), to_drawn]),
-        np.stack([to_seen, np.arange(drawn.edge.shape[1])]),
-    ], axis=1)  # fmt: skip
-    used, inverse = np.unique(drawn.corners, return_inverse=True)
-    points, slopes = surface_slopes(sheet, calibration, pose, used)
-    by_place = _picture_slopes(calibration, points)
-    in_picture = np.einsum("xiq,iqd->qxd", by_place, slopes)
-    of_edge = np.einsum("ik,ikxd->kxd", drawn.weights, in_picture[inverse.reshape(drawn.corners.shape)])
-    seen_at, drawn_at = pairs
-    normal = outward[:, seen_at]
-    rows = np.einsum("xr,rxd->rd", normal, of_edge[drawn_at])
-    missed = np.sum(normal * (edge[:, seen_at] - drawn.edge[:, drawn_at]), axis=0)
-    return rows, missed
+    calibration: Calibration,
+    points: Floats,
+    slopes: Floats,
+    weights: Floats,
+    corners: NDArray[np.int64],
+    pairs: NDArray[np.int64],
+    outward: Floats,
+) -> Floats:
+    """Derivatives (r, 6 + d) of the drawn outline's points across the outline that is seen."""
+    seen, shown = pairs
+    by_place = _picture_slopes(calibration, points)  # (2, 3, q)
+    corner = corners[:, shown]  # (3, r)
+    across = np.einsum("xr,xicr->icr", outward[:, seen], by_place[:, :, corner]) * weights[:, shown]
+    return np.einsum("icr,icrd->rd", across, slopes[:, corner])
 
 
 def _picture_slopes(calibration: Calibration, points: Floats) -> Floats:
@@ -253,15 +278,10 @@ def _picture_slopes(calibration: Calibration, points: Floats) -> Floats:
     return (pixels[:, 1:] - pixels[:, :1]) / step
 
 
-def _floor_rows(sheet: Umbrella, calibration: Calibration, pose: Pose) -> tuple[Floats, Floats]:
-    """The body stands on the floor: its lowest points are neither in it nor above it."""
-    height = (pose.rotation @ sheet.surface(pose.numbers, pose.rest))[2] + pose.centre[2]
-    lowest = int(np.argmin(height))
-    below = np.flatnonzero(height < 0.0)
-    below = below[np.argsort(height[below])][:12]
-    at = np.unique(np.append(below, lowest))
-    _, slopes = surface_slopes(sheet, calibration, pose, at)
-    return slopes[2] / FLOOR_NOISE, -height[at] / FLOOR_NOISE
+def _standing(height: Floats) -> NDArray[np.int64]:
+    """The points that are deepest in the floor, and the lowest one, which should be neither in it nor above it."""
+    lowest = np.argpartition(height, 12)[:12]
+    return np.unique(np.append(lowest[height[lowest] < 0.0], np.argmin(height)))
 
 
 class _Prior(NamedTuple):
@@ -308,7 +328,7 @@ def _prior(
     blocks.append(row)
     aims.append(np.zeros(a))
     if known is not None:
-        whitening = np.linalg.inv(np.linalg.cholesky(known.covariance))
+        whitening = np.asarray(np.linalg.inv(np.linalg.cholesky(known.covariance)), np.float64)
         blocks.append(np.concatenate([whitening[:, :3], np.zeros((3 + d, 3)), whitening[:, 3:]], axis=1))
         aims.append(whitening @ known.mean)
     return _Prior(np.concatenate(blocks), np.concatenate(aims))

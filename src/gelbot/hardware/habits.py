@@ -58,7 +58,7 @@ def rotation_by(turn: Floats) -> Floats:
 
 
 def habits_of(sheet: Umbrella, positions: Floats, start: Pose) -> Habits:
-    """Examples from a run: `positions` [m] (t, 3, n) of the points of the sheet's own mesh, first near the pose `start`."""
+    """Examples from a run: `positions` [m] (t, 3, n) of the points of the sheet's mesh, first near the pose `start`."""
     to_marks = _interpolation(sheet)
     poses, pose = [], start
     for moment in positions:
@@ -109,7 +109,7 @@ def laid_through(sheet: Umbrella, positions: Floats, start: Pose) -> Pose:
         missed = (positions - arm - pose.centre[:, None]).ravel()
         weight = np.concatenate([np.full(6, 1e-9), np.full(sheet.number_count, (DAMPING * 1e-3) ** 2 * n)])
         pull = np.concatenate([np.zeros(6), weight[6:] * (start.numbers - pose.numbers)])
-        change = np.linalg.solve(rows.T @ rows + np.diag(weight), rows.T @ missed + pull)
+        change = np.asarray(np.linalg.solve(rows.T @ rows + np.diag(weight), rows.T @ missed + pull), np.float64)
         turned = rotation_by(change[:3]) @ pose.rotation
         pose = Pose(pose.numbers + change[6:], turned, pose.centre + change[3:6], pose.rest)
         if np.max(np.abs(change)) < 1e-4:
@@ -126,7 +126,7 @@ def turn_between(one: Floats, other: Floats) -> Floats:
 
 
 def cells_of(mask: NDArray[np.uint8], pixels_per_metre: float) -> NDArray[np.float32]:
-    """How much of each cell a silhouette covers, (cells,): about the middle of its columns, upwards from its lowest row."""
+    """How much of each cell a silhouette covers, (cells,): about its middle column, upwards from its lowest row."""
     cv2 = cv2_of("a camera")
     across, up = (round(n * CELL * pixels_per_metre) for n in CELLS)
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
@@ -144,7 +144,7 @@ def cells_of(mask: NDArray[np.uint8], pixels_per_metre: float) -> NDArray[np.flo
 
 class Likely(NamedTuple):
     """What the examples say: `mean` (3 + d,) and `covariance` of turn [rad] from the last pose about the axes of the
-    picture and of the numbers; the mean `rest` [m]; the `nearest` example, and by how much area [m^2] its silhouette `differs`."""
+    picture and of the numbers; the mean `rest` [m]; the `nearest` example, and by how much area [m^2] it `differs`."""
 
     mean: Floats
     covariance: Floats
@@ -160,7 +160,8 @@ def likely(
 
     `axes` (3, 3) of the picture, one a row.
     """
-    differs = np.sum((cells - seen) ** 2, axis=1) * CELL**2
+    # The squares of the examples alone are the same for each picture, but cheap.
+    differs = (np.einsum("sc,sc->s", cells, cells) - 2.0 * (cells @ seen) + seen @ seen) * CELL**2
     few = np.argpartition(differs, min(FEW, len(differs) - 1))[:FEW]
     differs = differs[few]
     turns = np.stack([axes @ turn_between(last.rotation, habits.rotation[:, :, k]) for k in few], axis=1)

@@ -43,7 +43,7 @@ class Silhouette(NamedTuple):
 
 
 def background_of(picture: Pixels) -> NDArray[np.float32]:
-    """The tank without the gel, guessed from a `picture` (h, w) with it: brightness of its row times that of its column.
+    """The tank without the gel, guessed from a `picture` (h, w) with it: brightness of rows times that of columns.
 
     Right where the light changes along rows and columns and the gel takes less than half of each. A picture of the
     empty tank is better.

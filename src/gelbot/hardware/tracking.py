@@ -45,6 +45,8 @@ GAIN = 1.0
 """How much less such a pose must cost to be taken."""
 SURE = 0.3e-3
 """The standard deviation of a tip [m] at which its confidence is half of the body's."""
+BARE = 0.35e-3
+"""How far off a tip is, of an umbrella without examples of what it cannot do [m]: a standard deviation."""
 FROM_ABOVE = Expected(seen_turn=0.3, hidden_turn=1.2, hidden_move=5e-3)
 """From above, the body turns over about axes that lie in the picture, and rises along the line of sight."""
 
@@ -73,13 +75,13 @@ class Tracked(NamedTuple):
 
 class State(NamedTuple):
     """Where the tracker stands: the last believed `pose`, `time` [s] and silhouette's `area` [px^2] and `box`; how many
-    pictures were `count`ed; whether the body is `lost`."""
+    `pictures` there were; whether the body is `lost`."""
 
     pose: Pose
     time: float
     area: float
     box: Box | None
-    count: int
+    pictures: int
     lost: bool
 
 
@@ -135,7 +137,7 @@ def look(scene: Scene, state: State, pixels: Pixels, time: float) -> tuple[State
     if seen is not None and not why:
         found = _found(scene, state, seen, elapsed)
         why = _unbelievable(state, found, elapsed)
-    state = state._replace(count=state.count + 1)
+    state = state._replace(pictures=state.pictures + 1)
     outline = np.zeros((2, 0)) if seen is None else seen.edge[:, ::3]
     if why or found is None or seen is None:
         drawn = draw(scene.sheet, scene.calibration, state.pose)
@@ -144,8 +146,9 @@ def look(scene: Scene, state: State, pixels: Pixels, time: float) -> tuple[State
         return state._replace(lost=True), Tracked(time, *points, no, 0.0, True, outline, shown, why)
     points = scene.sheet.essential(found.pose)
     confidence = float(np.clip((found.overlap - 0.7) / 0.25, 0.0, 1.0) * np.exp(-((found.misfit / 4.0) ** 2)))
-    tips = confidence / (1.0 + (_tip_deviation(scene, found) / SURE) ** 2)
-    state = State(found.pose, time, seen.area, seen.box, state.count, False)
+    bare = BARE if scene.habits is None else 0.0
+    tips = confidence / (1.0 + (_tip_deviation(scene, found) ** 2 + bare**2) / SURE**2)
+    state = State(found.pose, time, seen.area, seen.box, state.pictures, False)
     return state, Tracked(time, *points, tips, confidence, False, outline, found.drawn.edge)
 
 
@@ -182,7 +185,7 @@ def _found(scene: Scene, state: State, seen: Silhouette, elapsed: float) -> Fit 
     known = scene.likely(seen, state, elapsed)
     arguments = (scene.sheet, scene.calibration, seen)
     best = fit(*arguments, state.pose, state.pose, elapsed, scene.expected, known)
-    doubtful = best is None or best.misfit > DOUBT or state.lost or state.count % SECOND_LOOK == 0
+    doubtful = best is None or best.misfit > DOUBT or state.lost or state.pictures % SECOND_LOOK == 0
     if doubtful:
         guess = _moved_there(scene, state, seen) if known is None else supposed(*arguments, state.pose, known)
         if guess is not None and (known is not None or state.lost):
@@ -267,7 +270,7 @@ class Tracker:
             self.scene = replace(self.scene, background=background_of(grey))
         if self.state is None:
             self.state = _first(self.scene, grey, time)
-        if self.state.count == 0:
+        if self.state.pictures == 0:
             self.state = self.state._replace(time=time - 1.0 / 30.0)
         self.state, tracked = look(self.scene, self.state, grey, time)
         return tracked

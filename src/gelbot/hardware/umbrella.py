@@ -50,8 +50,8 @@ class Bent(NamedTuple):
 
 
 class Mesh(NamedTuple):
-    """Points of a body's surface: where they lie in the flat sheet, `flat` [m] (2, n), how high above its middle, `side`
-    [m] (n,), and the closed surface's `triangles` (3, f), counter-clockwise seen from outside."""
+    """Points of a body's surface: where they lie in the flat sheet, `flat` [m] (2, n), how high above its middle,
+    `side` [m] (n,), and the closed surface's `triangles` (3, f), counter-clockwise seen from outside."""
 
     flat: Floats
     side: Floats
@@ -68,8 +68,8 @@ class Essential(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """How an umbrella is bent and where it is: `numbers` (d,), `rotation` (3, 3), `centre` [m] (3,), and `rest` [m] (3, n
-    + marks): by how much its points lie elsewhere, in the body's frame, for it is no umbrella."""
+    """How an umbrella is bent and where it is: `numbers` (d,), `rotation` (3, 3), `centre` [m] (3,), and `rest` [m]
+    (3, n + marks): by how much its points lie elsewhere, in the body's frame, for it is no umbrella."""
 
     numbers: Floats
     rotation: Floats
@@ -84,8 +84,8 @@ class Umbrella:
     `along`, `across` (p,): the points of the mid-surface in the frame of their arm; `arm` (p,) its number; `shares`
     (p, a): the shares of the arms in a point's bend. The first `mid_count` carry the surface, whose points lie `side`
     (n,) above those that `foot` (n,) names, with `triangles` (3, f); then come middle, tips, their bases and the hub's
-    ring, in all `mark_count`. `flat` (2, p) are all of them before the sheet is bent. `azimuths` (a,) of the tips, their
-    `reach`, `root`: where the arms begin; `thickness`.
+    ring, in all `mark_count`. `flat` (2, p) are all of them before the sheet is bent. `azimuths` (a,) of the tips,
+    their `reach`, `root`: where the arms begin; `thickness`.
     """
 
     along: Floats
@@ -122,12 +122,12 @@ class Umbrella:
 
     @cached_property
     def _nodes(self) -> Floats:
-        """Where the Gauss points of the integrals lie, (2, p, g), as shares of the reach: to a point, and to the root."""
+        """Gauss points of the integrals, (2, p, g), as shares of the reach: up to a point, and up to the root."""
         inner = np.stack([self.along, np.minimum(self.along, self.root)])
         return inner[:, :, None] * (GAUSS[0] + 1.0) / 2.0 / self.reach
 
     def bent(self, numbers: Floats, at: NDArray[np.int64] | slice = ALL) -> Bent:
-        """The mid-surface bent by `numbers` (d,): K_0k, K_1k, K_2k [rad], swings [rad], shrinkage; at points `at` (q,)."""
+        """The mid-surface at points `at` (q,), bent by `numbers` (d,): K_0k, K_1k, K_2k, swings [rad], shrinkage."""
         a = self.tip_count
         shares, along, t = self.shares[at], self.along[at], self.along[at] / self.reach
         bends = numbers[: ORDERS * a].reshape(ORDERS, a) @ shares.T
