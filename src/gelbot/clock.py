@@ -2,9 +2,33 @@
 
 from __future__ import annotations
 
+import os
 import time as machine
-from threading import Lock
+from contextlib import suppress
+from threading import Lock, get_native_id
 from typing import Protocol
+
+
+EAGER, USUAL = -10, 0
+"""The niceness of a thread that must be in time, and of others."""
+
+
+def be_in_time() -> None:
+    """Ask the system to let this thread, and those that it will begin, run before others.
+
+    Many systems allow that only to an administrator: then nothing changes.
+    """
+    _be(EAGER)
+
+
+def be_as_others() -> None:
+    """Take back `be_in_time` for this thread and those that it will begin."""
+    _be(USUAL)
+
+
+def _be(niceness: int) -> None:
+    with suppress(OSError, AttributeError):
+        os.setpriority(os.PRIO_PROCESS, get_native_id(), niceness)
 
 
 class Clock(Protocol):

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gelbot.clock import Clock
+from gelbot.clock import Clock, be_in_time
 from gelbot.errors import BenchStopped, SupplyFailed
 from gelbot.hardware.limits import Limits, Wiring
 from gelbot.hardware.supply import Supply
@@ -180,6 +180,7 @@ class Guard:
         self._thread.start()
 
     def _look(self) -> None:
+        be_in_time()
         while not self._off.wait(LOOK):
             try:
                 self.check()

@@ -13,10 +13,11 @@ from threading import Event, Thread
 from types import FrameType
 from typing import NamedTuple
 
+from gelbot.clock import be_in_time
 from gelbot.engine import keep_compiled, prepare_engine
 from gelbot.errors import BadInput
+from gelbot.live.apart import served_apart
 from gelbot.live.ready import Source
-from gelbot.live.serve import serve
 from gelbot.live.session import Session
 from gelbot.live.setups import PlayedSetup, Setup, SimulatedSetup
 from gelbot.record.result_folder import checked_folder, free_folder
@@ -48,6 +49,7 @@ class Asked(NamedTuple):
 
 def live_bench(asked: Asked, say: Callable[[str], None]) -> None:
     """Run the bench until Ctrl-C or SIGTERM; `say` tells the user. Raises `BadInput` before anything is live."""
+    be_in_time()  # before there are threads
     prepare_engine()
     keep_compiled()
     over = Event()
@@ -61,13 +63,13 @@ def live_bench(asked: Asked, say: Callable[[str], None]) -> None:
         try:
             if asked.controller is not None:
                 session.drive_with(asked.controller)
-            with serve(session, asked.host, asked.port, asked.token) as served:
-                say(f"the bench is at {served.url}")
+            with served_apart(session, asked.host, asked.port, asked.token) as address:
+                say(f"the bench is at {address}")
                 say("emergency stop: the red button, or the space bar, here or there; Ctrl-C ends it")
                 if asked.start:
                     session.start()
                 if asked.browser:
-                    webbrowser.open(served.url)
+                    webbrowser.open(address)
                 with keyboard(lambda: session.emergency_stop("the keyboard"), over):
                     while not over.wait(LOOK):
                         pass

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelbot.bench import Decision, Driver, Tick, drive
-from gelbot.clock import WallClock
+from gelbot.clock import WallClock, be_in_time
 from gelbot.errors import BadInput, BenchStopped, GelbotError
 from gelbot.live.drivers import ByHand, Programmed
 from gelbot.live.keeping import Keeping
@@ -233,6 +233,7 @@ class Session:
         self._commands.put(command)
 
     def _run(self) -> None:
+        be_in_time()
         while not self._closing:
             self._obey()
             if self._state == RUNNING:
@@ -330,7 +331,6 @@ class Session:
         self._last, self._number, self._time, self._late = None, 0, 0.0, 0
         self._took.clear()
         self.keeping.begin(ready, self.setup.words)
-        _settle_memory()
         self._state, self.message = READY, ""
 
     def _halt_if_any(self) -> None:
@@ -352,8 +352,9 @@ class Session:
 
     def _go(self) -> None:
         if self._state != RUNNING:
-            self.setup.go()
             self.keeping.open()
+            _settle_memory()
+            self.setup.go()
             self.keeping.event(self._time, f"started, driven by: {self._helm.name}")
             self._state, self.message = RUNNING, ""
 
