@@ -15,7 +15,7 @@ from typing import Any
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
-import numpy as np
+import numpy as np  # noqa: E402
 
 MM, DEG = 1e-3, np.pi / 180.0
 TARGET = 1e3 / 30.0

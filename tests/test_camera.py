@@ -181,13 +181,14 @@ def watched(
     return Errors(*(np.array(values) for values in zip(*rows, strict=True)))
 
 
-def must_show(found: Errors) -> None:
-    """The figures that a loop needs: 0.2 mm, 0.4 mm, 5 degrees. In 95 % of all pictures; those of which the tracker is
-    sure; the largest errors are in docs/camera.md."""
+def must_show(found: Errors, camera: Calibration) -> None:
+    """The figures that a loop needs, in 95 % of all pictures: the centre within 0.2 mm, tips of which the tracker is
+    sure within 0.4 mm, both across the line of sight, the normal within 5 degrees. From above the height lies along the line
+    of sight, and is not asked for. The largest errors stand in docs/camera.md."""
     print("\n" + found.table())
     assert not found.lost.any()
     assert np.quantile(found.centre, 0.95) < 0.2
-    assert np.quantile(np.abs(found.height), 0.95) < 0.2
+    assert camera.view == "above" or np.quantile(np.abs(found.height), 0.95) < 0.2
     assert np.quantile(found.tips_seen[found.sure > 0.5], 0.95) < 0.4
     assert np.quantile(found.turn, 0.95) < 5.0
 
@@ -362,6 +363,7 @@ class TestSilhouette:
         noisy = np.clip(picture * light + rng.normal(0.0, 2.0, picture.shape), 0, 255).astype(np.uint8)
         empty = np.broadcast_to((170.0 * light).astype(np.float32), (240, 320)).copy()
         seen = silhouette(noisy, empty)
+        assert seen is not None
         away = np.linalg.norm(seen.edge - np.array([[150.0], [110.0]]), axis=0)
         assert abs(away.mean() - 40.0) < 0.1
         assert away.std() < 0.25
@@ -394,16 +396,17 @@ class TestHabits:
 
 class TestTracking:
     def test_turn_over_from_the_side(self, nominal, habits, rng):
-        must_show(watched(nominal, SIDE, Light(), rng, habits))
+        must_show(watched(nominal, SIDE, Light(), rng, habits), SIDE)
 
     @pytest.mark.slow
     def test_turn_over_from_above(self, nominal, habits, rng):
-        must_show(watched(nominal, ABOVE, Light(), rng, habits))
+        must_show(watched(nominal, ABOVE, Light(), rng, habits), ABOVE)
 
     @pytest.mark.slow
     @pytest.mark.parametrize("p_ele", ["0.0173 cm^2/mA", "0.0227 cm^2/mA"])
     def test_other_robots(self, habits, rng, p_ele):
-        must_show(watched(simulated(*TURN_OVER, material__p_ele=p_ele, material__p_l=0.78), SIDE, Light(), rng, habits))
+        robot = simulated(*TURN_OVER, material__p_ele=p_ele, material__p_l=0.78)
+        must_show(watched(robot, SIDE, Light(), rng, habits), SIDE)
 
     @pytest.mark.slow
     @pytest.mark.parametrize(
@@ -413,11 +416,11 @@ class TestTracking:
         ids=["noise", "blur", "uneven", "pale", "jpeg", "smeared"],
     )  # fmt: skip
     def test_other_pictures(self, nominal, habits, rng, light):
-        must_show(watched(nominal, SIDE, light, rng, habits))
+        must_show(watched(nominal, SIDE, light, rng, habits), SIDE)
 
     @pytest.mark.slow
     def test_without_a_picture_of_the_empty_tank(self, nominal, habits, rng):
-        must_show(watched(nominal, SIDE, Light(), rng, habits, empty=False))
+        must_show(watched(nominal, SIDE, Light(), rng, habits, empty=False), SIDE)
 
     def test_dome_without_examples(self, rng):
         """Without any knowledge of how such a body moves, centre and orientation are seen; tips are not sure then."""
@@ -434,21 +437,29 @@ class TestTracking:
     @pytest.mark.parametrize("camera", [SIDE, ABOVE], ids=["side", "above"])
     def test_dome_with_examples(self, rng, camera):
         others = [simulated("dome", material__p_ele=p) for p in ("0.017 cm^2/mA", "0.0215 cm^2/mA", "0.023 cm^2/mA")]
-        must_show(
-            watched(simulated("dome"), camera, Light(), rng, together(*(o.habits(20.0) for o in others)), end=15.0)
-        )
+        known = together(*(other.habits(20.0) for other in others))
+        must_show(watched(simulated("dome"), camera, Light(), rng, known, end=15.0), camera)
 
-    def test_the_switch_is_seen_when_it_is_there(self, nominal, habits, rng):
-        """The planned programme's first condition, through the camera, within three pictures of the truth."""
+    def test_phases_are_left_when_they_are_over(self, nominal, habits, rng):
+        """The planned programme's conditions through the camera: within 0.3 s of the truth, and in their order."""
+        conditions = {
+            "switch": lambda seen: np.degrees(np.max(seen.tip_angles)) >= 76.034 and seen.centre[2] >= 5.3692 * MM,
+            "over": lambda seen: seen.normal[2] <= -0.8,
+            "on its back": lambda seen: seen.normal[2] <= -0.85,
+        }
         tracker = Tracker(nominal.sheet, SIDE, nominal.start, _empty(SIDE, rng), habits)
-        switched = {}
-        for when in np.arange(0.1, 10.0, 0.1):
+        switched, when = {}, 0.1
+        while when < 21.0:
             positions, truth = nominal.at(when)
             seen = tracker.look(render(positions, nominal.faces, SIDE, Light(), rng), when)
-            for name, what in (("seen", seen), ("true", truth)):
-                if np.degrees(np.max(what.tip_angles)) >= 76.034 and what.centre[2] >= 5.3692 * MM:
-                    switched.setdefault(name, when)
-        assert switched["seen"] == pytest.approx(switched["true"], abs=0.31)
+            for name, holds in conditions.items():
+                for who, what in (("seen", seen), ("true", truth)):
+                    if holds(what):
+                        switched.setdefault((name, who), when)
+            when += 1.0 / (30.0 if 10.5 < when < 12.0 else 10.0)
+        print(switched)
+        for name in conditions:
+            assert switched[name, "seen"] == pytest.approx(switched[name, "true"], abs=0.31)
 
 
 def _empty(camera: Calibration, rng) -> np.ndarray:
