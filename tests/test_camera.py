@@ -183,8 +183,8 @@ def watched(
 
 def must_show(found: Errors, camera: Calibration) -> None:
     """The figures that a loop needs, in 95 % of all pictures: the centre within 0.2 mm, tips of which the tracker is
-    sure within 0.4 mm, both across the line of sight, the normal within 5 degrees. From above the height lies along the line
-    of sight, and is not asked for. The largest errors stand in docs/camera.md."""
+    sure within 0.4 mm, both across the line of sight, the normal within 5 degrees. From above the height lies along the
+    line of sight, and is not asked for. The largest errors stand in docs/camera.md."""
     print("\n" + found.table())
     assert not found.lost.any()
     assert np.quantile(found.centre, 0.95) < 0.2
