@@ -99,24 +99,26 @@ class Supply(Table):
 class Camera(Table):
     """What sees the gel: a camera at `source`, the number of a USB camera, a file, or the address of a stream.
 
-    It looks at the gel from the "side", standing towards `azimuth` [rad] from the gel (0 is the x axis), or from
-    "above". `calibration`: a file of `gelbot calibrate`. Pictures are `delay` [s] old when they arrive; without one for
-    `lost_after` [s] the electrodes get zero volts, and the run ends after `patience` [s]. A simulated gel is seen with
-    `position_noise` [m] on each coordinate of a point and `angle_noise` [rad] on each angle (standard deviations),
-    after the same delay.
+    "rendered": a simulated gel is drawn as a camera would see it, from the "side", standing towards `azimuth` [rad]
+    from the gel (0 is the x axis), or from "above". `calibration`: a file that says how a real one sees the tank;
+    `background`: its picture of the tank without gel. Pictures are `delay` [s] old when they arrive; without one for
+    `lost_after` [s] the electrodes get zero volts, and the run ends after `patience` [s]. Without a source, a simulated
+    gel is seen with `position_noise` [m] on each coordinate of a point and `angle_noise` [rad] on each angle (standard
+    deviations).
     """
 
     source: int | str | None = None
     view: Literal["side", "above"] = "side"
     azimuth: Angle | None = None
     calibration: str | None = None
+    background: str | None = None
     delay: Annotated[float, Dimension("s", ge=0, le=2)] = 0.1
     lost_after: Annotated[float, Dimension("s", ge=0.05, le=0.25)] = 0.25
     patience: Annotated[float, Dimension("s", ge=0, le=3600)] = 5.0
     position_noise: Annotated[float, Dimension("m", ge=0, le=1e-2)] = 0.1e-3
     angle_noise: Annotated[float, Dimension("rad", ge=0, le=1)] = float(np.radians(2.0))
 
-    @field_validator("calibration")
+    @field_validator("calibration", "background")
     @classmethod
     def _beside_the_scenario(cls, calibration: str, info: ValidationInfo) -> str:
         return _beside(calibration, info)
