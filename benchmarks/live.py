@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -66,13 +67,53 @@ def rows() -> Rows:
     """Pictures a second, the control ticks meanwhile, and how soon the volts are gone when the browser is."""
     from browser import NO_BROWSER  # pyright: ignore[reportMissingImports]
 
-    return [] if NO_BROWSER else [*elsewhere(), *pictures(), *closing()]
+    return [*whole(), *elsewhere(), *([] if NO_BROWSER else [*pictures(), *closing()])]
+
+
+def whole() -> Rows:
+    """The turn-over as `gelbot live` has it: a simulated gel, its simulator beside it, log and page, and a browser
+    elsewhere."""
+    from gelbot.clock import be_in_time
+    from gelbot.engine import keep_compiled, prepare_engine
+
+    be_in_time()
+    prepare_engine()
+    keep_compiled()
+    from gelbot.live.apart import served_apart
+    from gelbot.live.ready import Source
+    from gelbot.live.session import Session
+    from gelbot.live.setups import SimulatedSetup
+
+    with TemporaryDirectory() as folder:
+        session = Session(SimulatedSetup(), Source("turn-over"), Path(folder))
+        try:
+            session.drive_with("planned")
+            with served_apart(session, "127.0.0.1", 0, None) as url:
+                taker = subprocess.Popen([sys.executable, "-c", ELSEWHERE, url])
+                try:
+                    time.sleep(WARM)
+                    session.start()
+                    time.sleep(MEASURED)
+                    moment = session.moment()
+                finally:
+                    taker.kill()
+                    taker.wait()
+        finally:
+            session.close()
+    ticks, nodes = moment.ticks, moment.positions.shape[1]
+    note = (
+        f"{nodes} nodes, {ticks.count} ticks, {ticks.late} late, longest {1e3 * ticks.longest:.1f} ms; {moment.state}"
+    )
+    return [
+        row("live: tick of the whole bench, median", 1e3 * ticks.median, "ms", None, note),
+        row("live: tick of the whole bench, 99 %", 1e3 * ticks.p99, "ms", 20.0, note, "live_bench_tick_p99_ms"),
+    ]
 
 
 def elsewhere() -> Rows:
     """With a browser that takes nothing from this machine's processor."""
     from gelbot.live.serve import serve
-    from gelbot.live.toy import Toy
+    from toy import Toy  # pyright: ignore[reportMissingImports]
 
     sys.setswitchinterval(SWITCH)
     with Toy(busy, keep_running=True) as toy, serve(toy, port=0) as served:
@@ -98,7 +139,7 @@ def pictures() -> Rows:
     """What is sent and drawn, and the time of the ticks."""
     from browser import browser_page  # pyright: ignore[reportMissingImports]
     from gelbot.live.serve import serve
-    from gelbot.live.toy import Toy
+    from toy import Toy  # pyright: ignore[reportMissingImports]
 
     sys.setswitchinterval(SWITCH)
     with Toy(busy, keep_running=True) as toy:
@@ -130,7 +171,7 @@ def closing() -> Rows:
     from playwright.sync_api import sync_playwright
 
     from gelbot.live.serve import serve
-    from gelbot.live.toy import Toy
+    from toy import Toy  # pyright: ignore[reportMissingImports]
 
     took = []
     with sync_playwright() as playwright, Toy(busy, keep_running=True) as toy, serve(toy, port=0) as served:

@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 HERE = Path(__file__).resolve().parent
-PARTS = ("field", "lead_field", "mechanics")
+PARTS = ("field", "lead_field", "mechanics", "camera", "live")
 """The benchmarks, each a program of this folder with a function `rows`."""
 PROGRAM = "import json, {0}; print(json.dumps({0}.rows()))"
 
@@ -50,6 +50,8 @@ def left_out() -> list[str]:
     reasons = []
     if find_spec("mujoco") is None:
         reasons.append("MuJoCo is not installed (pip install mujoco-core): no rows of it, and no ratios to it")
+    if not Path("/usr/bin/chromium").exists():
+        reasons.append("no Chromium at hand (apt-get install chromium): no rows of the page in a browser")
     if shutil.which("nvidia-smi") is None:
         reasons.append("no GPU at hand: no rows of Newton; accelerator.py, which is run alone, wants one too")
     return reasons

@@ -16,7 +16,7 @@ def main(to: Path, url: str | None = None, width: int = 1400, height: int = 900,
     """Write the picture, `wait` seconds after the page at `url` was opened; None: a page of its own."""
     from browser import picture  # pyright: ignore[reportMissingImports]
     from gelbot.live.serve import serve
-    from gelbot.live.toy import Toy
+    from toy import Toy  # pyright: ignore[reportMissingImports]
 
     if url is not None:
         return picture(url, to, width, height, wait)

@@ -23,6 +23,7 @@ import resource
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -179,7 +180,7 @@ def test_noise_is_as_large_as_it_is_said_to_be(coarse):
 # -- the log
 
 
-def row(k: int) -> dict[str, object]:
+def row(k: int) -> dict[str, Any]:
     return {
         "time": 0.1 * k,
         "seen_time": 0.1 * k - 0.1,
@@ -240,6 +241,7 @@ def test_what_is_no_log_is_said_so(tmp_path, content):
 WRITER = """
 import sys
 from pathlib import Path
+from typing import Any
 sys.path.insert(0, {tests!r})
 from test_bench import row
 from gelbot.record.log import BenchLog
@@ -334,6 +336,7 @@ def test_the_turn_over_in_closed_loop_20_seeds_of_20():
 HOUR = """
 import json, sys
 from pathlib import Path
+from typing import Any
 from gelbot.engine import prepare_engine
 prepare_engine()
 import numpy as np

@@ -172,8 +172,8 @@ def calmly(test: Callable[..., None]) -> Callable[..., None]:
 def made(tmp_path: Path, patience: str = "1 s") -> Iterator[Tank]:
     with ServedDevice(ReferenceDevice(16)).start() as device:
         setup = BenchSetup(
-            lambda experiment, clock: SerialSupply(device.port),
-            lambda experiment, clock: TankEye(experiment, clock, device),
+            lambda ready, clock: SerialSupply(device.port, watchdog=0.2),
+            lambda ready, clock, tell: TankEye(ready.nominal, clock, device),
             "reference device",
         )
         session = Session(setup, Source("turn-over"), tmp_path / "live", (COARSE, f"camera.patience={patience}"))
@@ -368,8 +368,8 @@ from gelbot.plants.simulated import Noise, SimulatedEye, SimulatedGel
 import numpy as np
 
 class TankEye:
-    def __init__(self, experiment, clock):
-        self.gel = SimulatedGel(experiment, lambda: np.zeros(16), clock.now())
+    def __init__(self, ready, clock, tell):
+        self.gel = SimulatedGel(ready.nominal, lambda: np.zeros(16), clock.now())
         self.gel.compile()
         self.eye = SimulatedEye(self.gel, Noise(1e-4, 0.03), 0.1)
     def look(self, now):

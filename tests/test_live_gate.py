@@ -19,7 +19,7 @@ from gelbot.errors import BadInput
 from gelbot.live import gate
 from gelbot.live.admission import Admission, Answer, Head, read_head
 from gelbot.live.serve import Served, serve
-from gelbot.live.toy import Toy
+from toy import Toy
 
 TOKEN = "correct-horse-battery"
 VISER = Subprotocol(f"viser-v{viser.__version__}")

@@ -21,7 +21,7 @@ from gelbot.live.plots import History
 from gelbot.live.scene import short
 from gelbot.live.seat import Seat
 from gelbot.live.serve import Served, serve
-from gelbot.live.toy import Toy
+from toy import Toy
 
 in_browser = pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER or "there is one")
 ELECTRODE = 15

@@ -8,7 +8,6 @@ from contextlib import suppress
 from threading import Lock, get_native_id
 from typing import Protocol
 
-
 EAGER, USUAL = -10, 0
 """The niceness of a thread that must be in time, and of others."""
 
@@ -105,6 +104,11 @@ class PacedClock:
             until = self._wall.now() + left
         if left > 0.0:
             self._wall.wait_until(until)
+
+    @property
+    def pace(self) -> float | None:
+        """Its seconds to one of the other clock's."""
+        return self._pace
 
     def set_pace(self, pace: float | None) -> None:
         """Another pace from now on."""

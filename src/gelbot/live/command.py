@@ -17,9 +17,11 @@ from gelbot.clock import be_in_time
 from gelbot.engine import keep_compiled, prepare_engine
 from gelbot.errors import BadInput
 from gelbot.live.apart import served_apart
+from gelbot.live.eyes import camera_eye
 from gelbot.live.ready import Source
 from gelbot.live.session import Session
-from gelbot.live.setups import PlayedSetup, Setup, SimulatedSetup
+from gelbot.live.setups import BenchSetup, PlayedSetup, Setup, SimulatedSetup
+from gelbot.plants.build import real_supply
 from gelbot.record.result_folder import checked_folder, free_folder
 
 DEFAULT = "turn-over"
@@ -97,7 +99,7 @@ def setup_of(asked: Asked) -> Setup:
 
 def bench_setup() -> Setup:
     """The supply and the camera of the scenario."""
-    raise NotImplementedError
+    return BenchSetup(lambda ready, clock: real_supply(ready.nominal, clock), camera_eye)
 
 
 def source_of(asked: Asked, setup: Setup) -> Source:

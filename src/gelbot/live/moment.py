@@ -70,7 +70,7 @@ class Moment:
     (e,), `currents` [A] (e,). `observed`: what was seen of the plant, None before anything was. `reference` [m], NaN
     without one; `phase`: of the programme. `arrows` (m, 2, 3): current density on a plane, from foot to head [m],
     scaled to be seen. `picture` (h, w, 3) uint8 RGB from the camera, the tracked outline drawn in, None without a
-    camera.
+    camera. `pace`: simulated seconds to one of the wall clock, None: as fast as it goes.
     """
 
     number: int
@@ -90,3 +90,4 @@ class Moment:
     arrows: NDArray[np.float64]
     picture: NDArray[np.uint8] | None
     ticks: Ticks
+    pace: float | None = 1.0

@@ -115,11 +115,9 @@ class Page:
         """Another stage: everything that belonged to the old one goes."""
         is_other = stage.name != self._stage.name
         self._stage = stage
-        pace = self._panel.pace.value
         for part in (self._plots, self._panel, self._scene):
             part.remove()
         self._compose()
-        self._panel.pace.put(pace)
         if is_other:
             for client in self._server.get_clients().values():
                 self._look(client, "body")

@@ -47,6 +47,9 @@ class Panel:
         if moment.controller in self.stage.controllers:
             self.controller.put(moment.controller)
         self.record.put(moment.recording)
+        name = next((name for name, pace in PACES.items() if pace == moment.pace), None)
+        if name is not None:
+            self.pace.put(name)
 
     def remove(self) -> None:
         """Take the controls away."""

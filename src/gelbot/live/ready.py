@@ -16,6 +16,7 @@ from gelbot.controllers.choice import planned, with_controller
 from gelbot.errors import BadInput
 from gelbot.field.electrodes import THIN, Electrode
 from gelbot.field.outlines import outlines
+from gelbot.hardware.habits import Habits
 from gelbot.live.drivers import ByHand, Predicting, Programmed, lifting
 from gelbot.live.moment import Stage
 from gelbot.plan.templates import TEMPLATES
@@ -51,7 +52,8 @@ class Source(NamedTuple):
 class Ready:
     """A scenario made ready: `nominal` is what the controllers know, `real` the simulated gel, which may differ.
 
-    `changes`: what was changed of the scenario since it was chosen.
+    `changes`: what was changed of the scenario since it was chosen. `habits`: how the body usually looks, for a camera,
+    None before they are needed.
     """
 
     source: Source
@@ -61,6 +63,7 @@ class Ready:
     real: Experiment
     controllers: tuple[str, ...]
     programmes: dict[str, Experiment] = field(default_factory=dict)
+    habits: Habits | None = None
 
     def driver(self, name: str) -> Driver:
         """A driver at its beginning. Raises `BadInput` for one that this scenario does not have."""

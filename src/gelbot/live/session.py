@@ -112,7 +112,7 @@ class Session:
             time=self._time,
             positions=shape.positions,
             adsorption=shape.adsorption,
-            asked=np.zeros_like(given) if tick is None else tick.decided.voltages,
+            asked=self._asked(given),
             given=given,
             currents=self._currents(given),
             observed=None if tick is None else _seen(tick),
@@ -123,7 +123,15 @@ class Session:
             arrows=twin.arrows(),
             picture=self.setup.picture(),
             ticks=self._told(),
+            pace=self.setup.pace,
         )
+
+    def _asked(self, given: Floats) -> Floats:
+        """What the driver wants; by hand that is known before it is done."""
+        driver, tick = self._helm.driver, self._last
+        if isinstance(driver, ByHand):
+            return driver.voltages
+        return np.zeros_like(given) if tick is None or self._state != RUNNING else tick.decided.voltages
 
     # -- what a user does; each returns at once, but checks what it was given
 

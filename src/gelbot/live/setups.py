@@ -4,6 +4,7 @@ standing."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -16,13 +17,15 @@ from gelbot.hardware.guard import Guard
 from gelbot.hardware.limits import Limits, straight
 from gelbot.hardware.soft_supply import SoftSupply
 from gelbot.hardware.supply import Supply
+from gelbot.live.eyes import RENDERED, rendered_eye
 from gelbot.live.ready import Ready
 from gelbot.plant import Plant, Sighting
 from gelbot.plants.build import Simulated, guard_of, simulated
 from gelbot.plants.guarded import Eye, GuardedPlant
 from gelbot.plants.played import PlayedPlant, recording
+from gelbot.plants.simulated import SimulatedGel
+from gelbot.plants.watching import CameraEye
 from gelbot.points import Observation
-from gelbot.scenario.build import Experiment
 
 Tell = Callable[[str], None]
 
@@ -31,7 +34,16 @@ class Setup(Protocol):
     """A plant with what belongs to it. `words`: what it is, for the page."""
 
     words: str
-    has_camera: bool
+
+    @property
+    def has_camera(self) -> bool:
+        """Whether there are pictures."""
+        ...
+
+    @property
+    def pace(self) -> float | None:
+        """See `set_pace`."""
+        ...
 
     @property
     def clock(self) -> Clock:
@@ -94,9 +106,7 @@ class OpenEye(Eye, Protocol):
 
 
 class SimulatedSetup:
-    """A simulated gel, which may differ from what its controllers know."""
-
-    has_camera = False
+    """A simulated gel, which may differ from what its controllers know; seen with noise, or in rendered pictures."""
 
     def __init__(self, pace: float | None = 1.0, seed: int = 0) -> None:
         self.words = "simulated gel"
@@ -104,15 +114,28 @@ class SimulatedSetup:
         self.clock = PacedClock(self._wall, pace, running=False)
         self.guard, self.plant = _nobody(self._wall), _Nothing()
         self.inside: Simulated | None = None
+        self._camera: CameraEye | None = None
+
+    @property
+    def has_camera(self) -> bool:
+        """Whether there are pictures."""
+        return self._camera is not None
 
     def begin(self, ready: Ready, tell: Tell) -> None:
         """A new gel at its beginning."""
-        self.guard.close()
-        self.inside = simulated(ready.nominal, ready.real, self.clock, self._wall, self._seed, tell)
+        self.close()
+        self._camera = None
+        rendered = ready.nominal.scenario.camera.source == RENDERED
+        eye_of = partial(self._rendered, ready, tell) if rendered else None
+        self.inside = simulated(ready.nominal, ready.real, self.clock, self._wall, self._seed, tell, eye_of)
         self.inside.gel.compile()
         self.plant, self.guard = self.inside.plant, self.inside.plant.guard
         self.guard.watch()
         self.words = "simulated gel" if ready.real is ready.nominal else "simulated gel, not as the model"
+
+    def _rendered(self, ready: Ready, tell: Tell, gel: SimulatedGel) -> CameraEye:
+        self._camera = rendered_eye(ready, gel, self.clock, tell, self._seed)
+        return self._camera
 
     def go(self) -> None:
         """Let it go on."""
@@ -129,6 +152,11 @@ class SimulatedSetup:
         if missed and self.inside is not None:
             self.clock.set_back(self.inside.gel.time)
 
+    @property
+    def pace(self) -> float | None:
+        """How fast it goes."""
+        return self.clock.pace
+
     def set_pace(self, pace: float | None) -> None:
         """How fast it goes."""
         self.clock.set_pace(pace)
@@ -138,21 +166,26 @@ class SimulatedSetup:
         return self.plant.observe().observation
 
     def picture(self) -> NDArray[np.uint8] | None:
-        """It has no camera."""
-        return None
+        """The newest rendered one, if they are."""
+        return None if self._camera is None else self._camera.picture()
 
     def close(self) -> None:
         """Zero volts, for good."""
         self.guard.close()
+        if self._camera is not None:
+            self._camera.close()
 
 
 class BenchSetup:
-    """A real supply and a real eye: `open_supply` and `open_eye` make them for a scenario, each time it begins."""
+    """A real supply and a real eye, at the pace of the world: `open_supply` and `open_eye` make them for a scenario,
+    each time it begins."""
+
+    pace = 1.0
 
     def __init__(
         self,
-        open_supply: Callable[[Experiment, Clock], Supply],
-        open_eye: Callable[[Experiment, Clock], OpenEye],
+        open_supply: Callable[[Ready, Clock], Supply],
+        open_eye: Callable[[Ready, Clock, Tell], OpenEye],
         words: str = "bench",
     ) -> None:
         self.words, self.has_camera = words, True
@@ -164,15 +197,17 @@ class BenchSetup:
     def begin(self, ready: Ready, tell: Tell) -> None:
         """Open what is there anew. Raises `SupplyFailed`, `CameraFailed` and `BadInput`."""
         self.close()
-        supply = self._open_supply(ready.nominal, self.clock)
+        supply = self._open_supply(ready, self.clock)
         try:
             self.guard = guard_of(ready.nominal, supply, self.clock, tell)
-            self._eye = self._open_eye(ready.nominal, self.clock)
+            self._eye = self._open_eye(ready, self.clock, tell)
         except Exception:
             supply.close()
             raise
         self.plant = GuardedPlant(self.guard, self._eye, self.clock)
         self.guard.watch()
+        if getattr(supply, "watchdog", None) is None:
+            tell(f"{supply.name} has no watchdog: where this program is killed, it keeps its voltages")
 
     def go(self) -> None:
         """Let the electrodes have voltages."""
@@ -241,6 +276,11 @@ class PlayedSetup:
 
     def kept_up(self, missed: int) -> None:
         """It always does."""
+
+    @property
+    def pace(self) -> float | None:
+        """How fast it is played."""
+        return self.clock.pace
 
     def set_pace(self, pace: float | None) -> None:
         """How fast it is played."""

@@ -9,11 +9,12 @@ import numpy as np
 
 from gelbot.clock import Clock
 from gelbot.errors import BadInput
+from gelbot.hardware.devices import SupplySettings, open_supply
 from gelbot.hardware.guard import CAMERA, LOOP, Guard, Watch
 from gelbot.hardware.limits import UNCONNECTED, Limits, Wiring
 from gelbot.hardware.soft_supply import SoftSupply
 from gelbot.hardware.supply import Supply
-from gelbot.plants.guarded import GuardedPlant
+from gelbot.plants.guarded import Eye, GuardedPlant
 from gelbot.plants.simulated import Noise, SimulatedEye, SimulatedGel
 from gelbot.scenario.build import Experiment
 from gelbot.scenario.schema import Scenario
@@ -91,7 +92,7 @@ class Simulated(NamedTuple):
 
     plant: GuardedPlant
     gel: SimulatedGel
-    eye: SimulatedEye
+    eye: Eye
     supply: SoftSupply
 
 
@@ -102,10 +103,12 @@ def simulated(
     guard_clock: Clock | None = None,
     seed: int = 0,
     on_event: Tell = lambda text: None,
+    eye_of: Callable[[SimulatedGel], Eye] | None = None,
 ) -> Simulated:
     """A bench whose gel is that of `real`, guarded as the scenario of `nominal` says.
 
-    The gel goes by `clock`, silence is measured by the `guard_clock`, where there is another one.
+    The gel goes by `clock`, silence is measured by the `guard_clock`, where there is another one. `eye_of` makes what
+    sees the gel, if not the simulated eye with the scenario's noise.
     """
     camera, period = nominal.scenario.camera, nominal.scenario.programme.control_period
     silence = clock if guard_clock is None else guard_clock
@@ -114,5 +117,28 @@ def simulated(
     supply = soft_supply(nominal, silence, watchdog)
     guard = guard_of(nominal, supply, silence, on_event, clock)
     gel = SimulatedGel(real, lambda: guard.wiring.to_electrodes(supply.outputs()), clock.now())
-    eye = SimulatedEye(gel, Noise(camera.position_noise, camera.angle_noise), camera.delay, seed)
+    if eye_of is None:
+        eye: Eye = SimulatedEye(gel, Noise(camera.position_noise, camera.angle_noise), camera.delay, seed)
+    else:
+        eye = eye_of(gel)
     return Simulated(GuardedPlant(guard, eye, clock), gel, eye, supply)
+
+
+def real_supply(experiment: Experiment, clock: Clock) -> Supply:
+    """The device that the scenario names. Raises `BadInput` and `SupplyFailed`."""
+    device = experiment.scenario.supply.device
+    if device.kind == "twin":
+        return soft_supply(experiment, clock)
+    settings = SupplySettings(
+        kind=device.kind,
+        port=device.port or "",
+        baud=device.baud,
+        resource=device.resource or "",
+        profile=device.profile or "",
+        visa_library=device.visa_library,
+        device=device.name or "",
+        channel_count=device.channel_count,
+        timeout=device.timeout,
+        watchdog=device.watchdog,
+    )
+    return open_supply(settings)

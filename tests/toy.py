@@ -136,6 +136,7 @@ class Toy:
     def set_pace(self, pace: float | None) -> None:
         self.calls.append(("set_pace", pace))
         self._pace = pace
+        self._now(pace=pace)
 
     def record(self, wanted: bool) -> None:
         self.calls.append(("record", wanted))
