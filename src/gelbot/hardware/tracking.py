@@ -45,6 +45,8 @@ GAIN = 1.0
 """How much less such a pose must cost to be taken."""
 SURE = 0.3e-3
 """The standard deviation of a tip [m] at which its confidence is half of the body's."""
+USUAL_MISFIT = 0.6
+"""Misfit [px] of a fit that is right; one that misses by more is trusted as much less."""
 BARE = 0.35e-3
 """How far off a tip is, of an umbrella without examples of what it cannot do [m]: a standard deviation."""
 FROM_ABOVE = Expected(seen_turn=0.3, hidden_turn=1.2, hidden_move=5e-3)
@@ -222,7 +224,7 @@ def _unbelievable(state: State, found: Fit | None, elapsed: float) -> str:
 
 
 def _tip_deviation(scene: Scene, found: Fit) -> Floats:
-    """Standard deviation of the tips [m] (a,) that the fit leaves them."""
+    """Standard deviation of the tips [m] (a,) that the fit leaves them, larger where it misses what is seen."""
     sheet, pose, a = scene.sheet, found.pose, scene.sheet.tip_count
     at = sheet.mid_count + 1 + np.arange(a)
     slopes = np.einsum("ij,jad->iad", pose.rotation, sheet.bent(pose.numbers, at).slopes()[0])
@@ -232,7 +234,8 @@ def _tip_deviation(scene: Scene, found: Fit) -> Floats:
     by = np.concatenate(
         [np.concatenate([turn, np.broadcast_to(axes[:, :, None], turn.shape)]).transpose(1, 2, 0), slopes], axis=2
     )
-    return np.sqrt(np.maximum(np.einsum("iad,de,iae->a", by, found.covariance, by), 0.0))
+    deviation = np.sqrt(np.maximum(np.einsum("iad,de,iae->a", by, found.covariance, by), 0.0))
+    return deviation * max(1.0, found.misfit / USUAL_MISFIT)
 
 
 class Tracker:
