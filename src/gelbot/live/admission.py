@@ -9,12 +9,22 @@ from html import escape
 from http import HTTPStatus
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
+from gelbot.errors import BadInput
+
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 """Names under which a browser reaches this machine itself. Any other name that leads here was made to mislead it."""
+SHORTEST_TOKEN = 12
+"""Letters of a token."""
 _LINE = re.compile(r"([!#$%&'*+.^_`|~0-9A-Za-z-]+):[ \t]*([\x21-\x7e](?:[ \t\x21-\x7e]*[\x21-\x7e])?)?[ \t]*")
 _FIRST = re.compile(r"(GET|HEAD) (/[\x21-\x7e]*) HTTP/1\.1")
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; form-action 'self'; frame-ancestors 'none'"
 _ONCE = ("host", "origin", "upgrade", "cookie", "sec-fetch-dest")
+
+
+def check_token(token: str | None) -> None:
+    """None, or a token that is long enough. Raises `BadInput`."""
+    if token is not None and len(token) < SHORTEST_TOKEN:
+        raise BadInput("token", "*" * len(token), f"at least {SHORTEST_TOKEN} letters", "leave it out: one is made")
 
 
 @dataclass(frozen=True)

@@ -16,13 +16,15 @@ from typing import NamedTuple
 from gelbot.clock import be_in_time
 from gelbot.engine import keep_compiled, prepare_engine
 from gelbot.errors import BadInput
+from gelbot.live.admission import check_token
 from gelbot.live.apart import served_apart
-from gelbot.live.eyes import camera_eye
-from gelbot.live.ready import Source
+from gelbot.live.eyes import camera_eye, check_camera
+from gelbot.live.ready import DRIVERS, Source
 from gelbot.live.session import Session
 from gelbot.live.setups import BenchSetup, PlayedSetup, Setup, SimulatedSetup
 from gelbot.plants.build import real_supply
 from gelbot.record.result_folder import checked_folder, free_folder
+from gelbot.scenario.schema import Scenario
 
 DEFAULT = "turn-over"
 STOP_KEYS = (" ", "\x1b", "\r", "\n", "q")
@@ -58,7 +60,9 @@ def live_bench(asked: Asked, say: Callable[[str], None]) -> None:
     with stopping(over):
         setup = setup_of(asked)
         source = source_of(asked, setup)
-        name = source.load(asked.changes).scenario.name
+        scenario = source.load(asked.changes).scenario
+        check_asked(asked, scenario)
+        name = scenario.name
         folder = free_folder(Path("live"), name) if asked.out is None else checked_folder(asked.out)
         say("building the bench")
         session = Session(setup, source, folder, asked.changes, asked.real)
@@ -80,6 +84,15 @@ def live_bench(asked: Asked, say: Callable[[str], None]) -> None:
         finally:
             session.close()
     say(f"ended, all electrodes at zero volts{session.keeping.told()}")
+
+
+def check_asked(asked: Asked, scenario: Scenario) -> None:
+    """What can be seen to be wrong before anything is built. Raises `BadInput`."""
+    check_token(asked.token)
+    if asked.controller is not None and asked.controller not in DRIVERS:
+        raise BadInput("--controller", asked.controller, "one of " + ", ".join(DRIVERS))
+    if asked.plant == "bench":
+        check_camera(scenario.camera)
 
 
 def setup_of(asked: Asked) -> Setup:

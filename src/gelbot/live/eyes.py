@@ -17,6 +17,7 @@ from gelbot.live.ready import PLANNED, Ready
 from gelbot.plants.rendered import RenderedCamera, viewpoint
 from gelbot.plants.simulated import SimulatedGel
 from gelbot.plants.watching import CameraEye, examples_of, read_background, sheet_of
+from gelbot.scenario.bench import Camera
 
 RENDERED = "rendered"
 """The source of a camera that is none: pictures of a simulated gel."""
@@ -35,9 +36,8 @@ def rendered_eye(
     return CameraEye(camera, _tracker(ready, calibration, camera.empty(), tell), clock, threaded)
 
 
-def camera_eye(ready: Ready, clock: Clock, tell: Tell) -> CameraEye:
-    """An eye that looks through the scenario's camera. Raises `BadInput`, `CameraFailed`."""
-    camera = ready.nominal.scenario.camera
+def check_camera(camera: Camera) -> None:
+    """A real camera, and how it sees the tank, or a `BadInput`."""
     if camera.source is None or camera.source == RENDERED:
         given = NOTHING if camera.source is None else camera.source
         allowed = "the number of a USB camera, a file, or the address of a stream: a real gel is seen by a real camera"
@@ -45,6 +45,14 @@ def camera_eye(ready: Ready, clock: Clock, tell: Tell) -> CameraEye:
     if camera.calibration is None:
         allowed = "a file that says how the camera sees the tank"
         raise BadInput("camera.calibration", NOTHING, allowed, "gelbot calibrate makes one, see docs/camera.md")
+
+
+def camera_eye(ready: Ready, clock: Clock, tell: Tell) -> CameraEye:
+    """An eye that looks through the scenario's camera. Raises `BadInput`, `CameraFailed`."""
+    camera = ready.nominal.scenario.camera
+    check_camera(camera)
+    assert camera.source is not None
+    assert camera.calibration is not None
     calibration = load_calibration(Path(camera.calibration))
     background = None if camera.background is None else read_background(camera.background)
     tracker = _tracker(ready, calibration, background, tell)

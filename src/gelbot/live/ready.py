@@ -26,7 +26,7 @@ from gelbot.scenario.load import Loaded, checked, load
 from gelbot.scenario.obstacle_surfaces import obstacle_triangles
 from gelbot.scenario.overrides import override_keys, with_overrides
 
-HAND, PROGRAMME, SERVO, PLANNED, PREDICTIVE = "by hand", "programme", "servo", "planned", "predictive"
+DRIVERS = HAND, PROGRAMME, SERVO, PLANNED, PREDICTIVE = "by hand", "programme", "servo", "planned", "predictive"
 """Who can drive. The servo lifts the gel with the first phase's pattern, to a height that can be dragged."""
 OFFERED = ("body", "electrodes", "material", "solution")
 """The tables of a scenario whose single values the page offers to change."""

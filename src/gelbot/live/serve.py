@@ -8,12 +8,10 @@ from types import TracebackType
 
 from gelbot.errors import BadInput
 from gelbot.live.actions import Actions
+from gelbot.live.admission import check_token
 from gelbot.live.gate import Gate, is_loopback
 from gelbot.live.inner import Inner
 from gelbot.live.page import Page
-
-SHORTEST = 12
-"""Letters of a token."""
 
 
 class Served:
@@ -57,8 +55,7 @@ def serve(actions: Actions, host: str = "127.0.0.1", port: int = 8080, token: st
     """
     if token is not None and not (token.isascii() and token.replace("-", "").replace("_", "").isalnum()):
         raise BadInput("token", "*" * len(token), "letters, digits, - and _", "leave it out: one is made")
-    if token is not None and len(token) < SHORTEST:
-        raise BadInput("token", "*" * len(token), f"at least {SHORTEST} letters", "leave it out: one is made")
+    check_token(token)
     if token is None and not is_loopback(host):
         token = secrets.token_urlsafe(18)
     inner = Inner("gelbot")

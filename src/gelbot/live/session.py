@@ -77,7 +77,11 @@ class Session:
         self._wall = WallClock()
         self._ready = make_ready(source, changes, self._real)
         self.keeping = Keeping(folder)
-        self._begin(self._ready)
+        try:
+            self._begin(self._ready)
+        except BaseException:
+            setup.close()
+            raise
         sys.setswitchinterval(SWITCH)
         self._thread = Thread(target=self._run, name="control loop", daemon=True)
         self._thread.start()

@@ -7,12 +7,23 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import ValidationInfo, field_validator
+from pydantic import ValidationInfo, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from gelbot.errors import NOTHING
 from gelbot.scenario.fields import Angle, Checked, Count, Dimension, Number, Table, wrong
 
 UNCONNECTED = -1
+"""The channel of an electrode that has none."""
+NEEDED = {
+    "serial": {"port": 'a serial port, such as "/dev/ttyACM0" or "COM3"'},
+    "scpi": {
+        "resource": 'a VISA address, such as "TCPIP0::192.168.1.20::INSTR"',
+        "profile": "the name of a profile, or a .toml file",
+    },
+    "ni": {"name": 'the name of a card, such as "Dev1"'},
+}
+"""The keys that a kind of device must have, with what they hold."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +66,13 @@ class Device(Table):
     @classmethod
     def _beside_the_scenario(cls, profile: str, info: ValidationInfo) -> str:
         return _beside(profile, info) if profile.endswith(".toml") else profile
+
+    @model_validator(mode="after")
+    def _has_what_it_needs(self) -> Device:
+        for key, allowed in NEEDED.get(self.kind, {}).items():
+            if not getattr(self, key):
+                raise wrong(key, NOTHING, f'{allowed}: a supply of kind "{self.kind}" needs it')
+        return self
 
 
 class Supply(Table):
