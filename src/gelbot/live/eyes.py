@@ -67,4 +67,6 @@ def _tracker(ready: Ready, calibration: Calibration, background: NDArray[np.floa
         duration = min(experiment.scenario.simulation.duration, LONGEST)
         ready.habits = examples_of(experiment, duration, lambda k, n: tell(f"examples for the camera: {k} of {n}"))
     sheet, lies = sheet_of(ready.nominal)
-    return Tracker(sheet, calibration, lies, background, ready.habits)
+    tracker = Tracker(sheet, calibration, lies, background, ready.habits)
+    assert len(tracker.scene.cells)  # drawn now: they take longer than a picture may
+    return tracker

@@ -60,10 +60,11 @@ def guard_of(
 ) -> Guard:
     """The guard over `supply`, which watches the loop and the camera."""
     scenario = experiment.scenario
-    camera = scenario.camera
+    camera, late = scenario.camera, scenario.programme.control_period + LOOP_LATE
     watches = {
-        LOOP: Watch(max(LOOP_SILENT, scenario.programme.control_period + LOOP_LATE)),
-        CAMERA: Watch(camera.lost_after, camera.patience),
+        LOOP: Watch(max(LOOP_SILENT, late)),
+        # It is the loop that looks.
+        CAMERA: Watch(max(camera.lost_after, late), camera.patience),
     }
     wiring = wiring_of(scenario, supply.channel_count)
     return Guard(supply, wiring, limits_of(experiment), clock, watches, on_event, gel_clock)

@@ -1,0 +1,155 @@
+"""`gelbot live` as it is used: the real session behind the page, a real browser before it.
+
+A control period of half a second leaves a busy machine, on which the browser draws with the processor, time for both.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from browser import CANVAS, NO_BROWSER, click_electrode, launch, open_page, until
+from gelbot.live.ready import Source
+from gelbot.live.serve import Served, serve
+from gelbot.live.session import Session
+from gelbot.live.setups import SimulatedSetup
+from gelbot.record.log import open_log
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER or "there is one")]
+UNHURRIED = [
+    "body.mesh_size=1.8 mm",
+    "programme.control_period=500 ms",
+    "recording.interval=500 ms",
+    "recording.chunk=1 s",
+]
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        started = launch(playwright)
+        yield started
+        started.close()
+
+
+def press(page: Page, label: str) -> None:
+    page.get_by_role("button", name=label, exact=True).click()
+
+
+def drawn(page: Page) -> bytes:
+    return page.locator(CANVAS).screenshot()
+
+
+def in_view(page: Page, served: Served) -> int:
+    """The electrode that is seen nearest to the middle of the first view."""
+    until(served.page.browsers, page=page)
+    places = served.page.places(served.page.browsers()[0])
+    return int(np.argmin(np.abs(places - 0.5).max(axis=0)))
+
+
+def test_a_click_gives_volts_the_gel_moves_and_stops(browser, tmp_path):
+    session = Session(SimulatedSetup(), Source("turn-over"), tmp_path / "live", UNHURRIED)
+    try:
+        with serve(session, port=0) as served:
+            page = open_page(browser, served.url)
+            assert session.stage().controllers[0] == "by hand"
+            electrode = in_view(page, served)
+            click_electrode(page, served, electrode)
+            until(lambda: session.moment().asked[electrode] != 0.0, page=page)
+            assert session.moment().controller == "by hand"
+            volts = session.moment().asked[electrode]
+            before, shape = drawn(page), session.moment().positions
+            press(page, "start")
+            until(lambda: session.moment().state == "running", page=page)
+            until(lambda: session.moment().given[electrode] == volts, page=page)
+            # The gel is seen to move: its nodes in the session, and its picture in the browser.
+            until(lambda: np.abs(session.moment().positions - shape).max() > 2e-4, page=page)
+            until(lambda: drawn(page) != before, page=page)
+            press(page, "EMERGENCY STOP")
+            until(lambda: session.moment().state == "stopped", page=page)
+            assert not session.moment().given.any()
+            page.get_by_text("emergency stop").first.wait_for()
+            # Nothing goes before a reset.
+            press(page, "start")
+            page.wait_for_timeout(300)
+            assert session.moment().state == "stopped"
+            press(page, "reset")
+            until(lambda: session.moment().state == "ready", page=page)
+            page.close()
+    finally:
+        session.close()
+    log = open_log(tmp_path / "live" / "bench.log")
+    assert log["voltage"].values[:, electrode].max() == pytest.approx(volts)
+    assert any("emergency stop, by browser 1" in event.text for event in log.attrs["events"])
+
+
+def test_another_scenario_and_another_body(browser, tmp_path):
+    session = Session(SimulatedSetup(), Source("turn-over"), tmp_path / "live", UNHURRIED)
+    try:
+        with serve(session, port=0) as served:
+            page = open_page(browser, served.url)
+            nodes = session.stage().rest.shape[1]
+            session.change({"body.width": "18 mm"})
+            until(lambda: session.stage().settings["body.width"] == "18 mm", page=page, patience=90.0)
+            assert session.stage().rest.shape[1] != nodes
+            session.choose("strip")
+            until(
+                lambda: session.stage().name == "strip" and session.moment().state == "ready", page=page, patience=90.0
+            )
+            page.wait_for_timeout(500)
+            assert session.stage().settings["body.shape"] == "strip"
+            page.get_by_text("strip", exact=False).first.wait_for(state="attached")
+            page.close()
+    finally:
+        session.close()
+
+
+@pytest.mark.parametrize("ends", ["browser", "program"])
+def test_the_command_itself(browser, tmp_path, ends):
+    """The page in its own process: the driving browser is closed, or the program is ended, while the gel moves."""
+    command = [sys.executable, "-m", "gelbot.cli", "live", "turn-over", "--no-browser", "--port", "0", "--out", "live"]
+    for change in UNHURRIED:
+        command += ["--set", change]
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    ) as program:
+        try:
+            assert program.stdout is not None
+            said = [program.stdout.readline() for _ in range(3)]
+            url = said[1].split()[-1]
+            assert url.startswith("http://127.0.0.1:"), said
+            page = open_page(browser, url)
+            press(page, "start")
+            page.get_by_text("running", exact=True).first.wait_for()
+            page.wait_for_timeout(2000)
+            if ends == "browser":
+                page.close()
+                wait_for_event(tmp_path, "the driving browser was closed")
+            os.kill(program.pid, signal.SIGINT)
+            rest = program.communicate(timeout=30.0)[0]
+        finally:
+            program.kill()
+            program.wait()
+    assert program.returncode == 0
+    assert "ended, all electrodes at zero volts; what was kept is in live" in rest
+    assert "Traceback" not in rest
+    log = open_log(tmp_path / "live" / "bench.log")
+    assert log.sizes["time"] > 2
+    says = "the driving browser was closed" if ends == "browser" else "the program was ended"
+    assert any(says in event.text for event in log.attrs["events"]), log.attrs["events"]
+
+
+def wait_for_event(folder: Path, says: str) -> None:
+    end = time.monotonic() + 20.0
+    while not any(says in event.text for event in open_log(folder / "live" / "bench.log").attrs["events"]):
+        assert time.monotonic() < end, "it was not told"
+        time.sleep(0.05)
