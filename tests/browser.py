@@ -100,13 +100,15 @@ def click_electrode(page: Page, served: Served, electrode: int, browser: int = 0
     page.mouse.up()
 
 
-def picture(url: str, path: Path, width: int = 1400, height: int = 900, wait: float = 8.0) -> Path:
-    """Write what is seen at `url` to `path` (.png), `wait` seconds after it was opened."""
+def picture(url: str, path: Path, width: int = 1400, height: int = 900, wait: float = 8.0, start: bool = False) -> Path:
+    """Write what is seen at `url` to `path` (.png), `wait` seconds after it was opened, or was told to `start`."""
     with browser_page(url, width, height, sharp=1.0) as page:
         close = page.locator(".mantine-Notification-closeButton")
-        page.wait_for_timeout(1e3 * wait)
+        page.wait_for_timeout(6000.0)
         for _ in range(close.count()):
-            close.first.click()
-        page.wait_for_timeout(1500.0)
+            close.first.dispatch_event("click")
+        if start:
+            page.get_by_role("button", name="start", exact=True).click()
+        page.wait_for_timeout(1e3 * wait)
         page.screenshot(path=path)
     return path

@@ -150,6 +150,7 @@ def zero_after(device: ServedDevice, began: float) -> float:
     took = time.monotonic() - began
     if took >= WITHIN and longest > CALM:
         raise Busy
+    print(f"zero volts after {1e3 * took:.0f} ms")  # with pytest -s
     return took
 
 
@@ -380,7 +381,8 @@ class TankEye:
         pass
 
 command.bench_setup = lambda: BenchSetup(lambda e, c: SerialSupply({port!r}), TankEye, "reference device")
-live_bench(Asked("turn-over", "bench", ("body.mesh_size=1.8 mm",), (), "planned", "1", 1, "127.0.0.1", 0, None, False,
+changes = ("body.mesh_size=1.8 mm", "camera.source=0", "camera.calibration=camera.toml")
+live_bench(Asked("turn-over", "bench", changes, (), "planned", "1", 1, "127.0.0.1", 0, None, False,
                  True, Path({folder!r})), print)
 """
 

@@ -369,7 +369,7 @@ def test_settings_wait_for_the_button_and_a_bad_one_changes_nothing(browser: Bro
 def test_what_the_driver_chooses_arrives(browser: Browser, toy: Toy, served: Served) -> None:
     page = open_page(browser, served.url)
     try:
-        _choose(page, "driven", "servo")
+        _choose(page, "driven by", "servo")
         assert asked(toy, page, "drive_with", "servo")
         _choose(page, "pace", "fastest")
         assert asked(toy, page, "set_pace", None)

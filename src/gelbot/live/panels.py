@@ -72,7 +72,9 @@ class Panel:
         controllers = self.stage.controllers
         chosen = actions.moment().controller
         drive = self._keep(
-            gui.add_dropdown("driven", controllers, initial_value=chosen if chosen in controllers else controllers[0])
+            gui.add_dropdown(
+                "driven by", controllers, initial_value=chosen if chosen in controllers else controllers[0]
+            )
         )
         self.controller: Shared[str] = Shared(self._permit, drive, actions.drive_with)
         pace = self._keep(gui.add_dropdown("pace", tuple(PACES), initial_value="1x", hint="Of the gel's time to yours"))

@@ -134,7 +134,7 @@ class Plots:
         ]
         scale = uplot.Scale(auto=True) if limits is None else uplot.Scale(auto=False, range=limits)
         thin = {"stroke": "#eeeeee", "width": 1}
-        axis = uplot.Axis(stroke=FAINT, grid=thin, ticks=thin, size=34, font="11px sans-serif")  # pyright: ignore
+        axis = uplot.Axis(stroke=FAINT, grid=thin, ticks=thin, size=44, font="11px sans-serif")  # pyright: ignore
         across = uplot.Axis(stroke=FAINT, grid=thin, ticks=thin, size=24, font="11px sans-serif")  # pyright: ignore
         self._parts.append(gui.add_html(title))
         plot = gui.add_uplot(
