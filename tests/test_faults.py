@@ -43,7 +43,6 @@ from gelbot.hardware.served_device import ServedDevice
 from gelbot.live.ready import Source
 from gelbot.live.session import Session
 from gelbot.live.setups import BenchSetup
-from gelbot.plant import Sighting
 from gelbot.plants.simulated import Noise, SimulatedEye, SimulatedGel
 from gelbot.record.log import open_log
 from gelbot.scenario.build import Experiment
@@ -57,16 +56,13 @@ COARSE = "body.mesh_size=1.8 mm"
 pytestmark = pytest.mark.slow
 
 
-class TankEye:
+class TankEye(SimulatedEye):
     """The eye of a simulated gel that lies under the served device."""
 
     def __init__(self, experiment: Experiment, clock: Clock, device: ServedDevice) -> None:
-        self.gel = SimulatedGel(experiment, device.outputs, clock.now())
-        self.gel.compile()
-        self.eye = SimulatedEye(self.gel, Noise(1e-4, 0.03), 0.1)
-
-    def look(self, now: float) -> Sighting:
-        return self.eye.look(now)
+        gel = SimulatedGel(experiment, device.outputs, clock.now())
+        gel.compile()
+        super().__init__(gel, Noise(1e-4, 0.03), 0.1)
 
     def picture(self) -> None:
         return None
@@ -189,11 +185,11 @@ def test_a_camera_lost_for_two_seconds(tmp_path):
     with made(tmp_path, patience="5 s") as tank:
         tank.runs()
         # The sighting that the guard knows is one period old when the hand comes.
-        assert tank.fault(lambda: setattr(tank.eye.eye, "covered", True)) < WITHIN
+        assert tank.fault(lambda: setattr(tank.eye, "covered", True)) < WITHIN
         assert "waiting for the camera" in tank.session.moment().message
         time.sleep(2.0)
         assert not tank.device.outputs().any()
-        tank.eye.eye.covered = False
+        tank.eye.covered = False
         tank.lives()
         tank.log("zero volts: waiting for the camera")
         tank.log("all is seen again: going on")
@@ -203,7 +199,7 @@ def test_a_camera_lost_for_two_seconds(tmp_path):
 def test_a_camera_lost_for_good(tmp_path):
     with made(tmp_path) as tank:
         tank.runs()
-        assert tank.fault(lambda: setattr(tank.eye.eye, "covered", True)) < WITHIN
+        assert tank.fault(lambda: setattr(tank.eye, "covered", True)) < WITHIN
         tank.ended("the camera has been silent for 1")
 
 
@@ -368,19 +364,17 @@ from gelbot.hardware.serial_supply import SerialSupply
 from gelbot.plants.simulated import Noise, SimulatedEye, SimulatedGel
 import numpy as np
 
-class TankEye:
+class TankEye(SimulatedEye):
     def __init__(self, ready, clock, tell):
-        self.gel = SimulatedGel(ready.nominal, lambda: np.zeros(16), clock.now())
-        self.gel.compile()
-        self.eye = SimulatedEye(self.gel, Noise(1e-4, 0.03), 0.1)
-    def look(self, now):
-        return self.eye.look(now)
+        gel = SimulatedGel(ready.nominal, lambda: np.zeros(16), clock.now())
+        gel.compile()
+        super().__init__(gel, Noise(1e-4, 0.03), 0.1)
     def picture(self):
         return None
     def close(self):
         pass
 
-command.bench_setup = lambda: BenchSetup(lambda e, c: SerialSupply({port!r}), TankEye, "reference device")
+command.bench_setup = lambda: BenchSetup(lambda r, c: SerialSupply({port!r}), TankEye, "reference device")
 changes = ("body.mesh_size=1.8 mm", "camera.source=0", "camera.calibration=camera.toml")
 live_bench(Asked("turn-over", "bench", changes, (), "planned", "1", 1, "127.0.0.1", 0, None, False,
                  True, Path({folder!r})), print)

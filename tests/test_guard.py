@@ -210,6 +210,7 @@ class Broken(SoftSupply):
     """A supply that fails: `write` when `refuses`; it measures what it is told to."""
 
     refuses = False
+    expired_count = 0
     measured: Reading | None = None
 
     def write(self, volts):
@@ -307,3 +308,110 @@ def test_in_real_time_a_thread_that_ends_leaves_zero_volts_within_300_ms():
         assert guard.reason is not None
     finally:
         guard.close()
+
+
+def test_zero_volts_are_asked_for_until_the_device_says_so():
+    bench, supply = broken_bench(Limits(10.0))
+    bench.tick([1.0, 1.0, 1.0])
+    supply.refuses = True
+    bench.guard.stop("the user")
+    assert supply.outputs().any()
+    with pytest.raises(BenchStopped):
+        bench.guard.arm()
+    supply.refuses = False
+    bench.clock.move(0.1)
+    bench.guard.check()
+    assert not supply.outputs().any()
+    assert len(bench.said) == 2  # asked again, but told once
+
+
+def test_what_cannot_be_zero_is_as_near_to_it_as_it_can():
+    clock = HandClock()
+    supply = SoftSupply(1, clock=clock, watchdog=None, lowest=0.0, highest=10.0)
+    guard = Guard(supply, Wiring(np.array([0]), np.array([1.0]), np.array([0.1]), 1), Limits(10.0), clock, {})
+    guard.arm()
+    guard.apply(np.array([5.0]))
+    guard.stop("test")
+    assert supply.outputs().tolist() == [0.0]
+
+
+class Crashing(SoftSupply):
+    """A supply whose driver makes a mistake of its own."""
+
+    crashes = False
+
+    def write(self, volts):
+        if self.crashes:
+            raise ZeroDivisionError("a driver's mistake")
+        super().write(volts)
+
+
+def test_a_mistake_in_a_driver_of_a_supply_is_a_fault_like_any_other():
+    supply = Crashing(3, watchdog=None, clock=HandClock())
+    bench = Bench(Limits(10.0), supply=supply)
+    bench.tick([1.0, 1.0, 1.0])
+    supply.crashes = True
+    with pytest.raises(BenchStopped, match="the supply failed: ZeroDivisionError"):
+        bench.tick([2.0, 1.0, 1.0])
+    supply.crashes = False
+    bench.clock.move(0.1)
+    bench.guard.check()
+    assert not supply.outputs().any()
+
+
+def test_a_supply_that_measures_no_number():
+    bench, supply = broken_bench(Limits(10.0, current=0.1))
+    bench.tick([1.0, 1.0, 1.0])
+    supply.measured = Reading(None, np.array([0.0, np.nan, 0.0]))
+    with pytest.raises(BenchStopped, match="measures what is no number"):
+        bench.tick([1.0, 1.0, 1.0])
+
+
+def test_a_device_whose_own_watchdog_expired_does_not_go_back_in_one_step():
+    bench, supply = broken_bench(Limits(10.0, slew=20.0))
+    for _ in range(5):
+        bench.tick([10.0, 0.0, 0.0])
+    supply.expired_count = 1
+    with pytest.raises(BenchStopped, match="watchdog had expired"):
+        bench.tick([10.0, 0.0, 0.0])
+    assert not supply.outputs().any()
+
+
+def test_a_time_of_the_gel_that_goes_back_loosens_no_limit():
+    clock, gel_clock = HandClock(), HandClock()
+    supply = SoftSupply(2, clock=clock, watchdog=None)
+    limits = Limits(5.0, slew=20.0, conductance=CONDUCTANCE[:2, :2])
+    guard = Guard(supply, straight(2), limits, clock, {}, gel_clock=gel_clock)
+    guard.arm()
+    gel_clock.move(0.1)
+    np.testing.assert_allclose(guard.apply(np.array([5.0, -5.0])), [2.0, -2.0])
+    charge = guard.charge
+    gel_clock.move(-0.5)
+    np.testing.assert_allclose(guard.apply(np.array([-5.0, 5.0])), [2.0, -2.0])
+    assert guard.charge == charge
+
+
+def test_after_its_end_nothing_reaches_the_supply():
+    bench = Bench(Limits(10.0))
+    bench.tick([1.0, 1.0, 1.0])
+    bench.guard.close()
+    bench.guard.stop("somebody late")
+    bench.guard.close()
+    assert bench.said == ["stopped: somebody late"]
+    bench.guard.reset()
+    with pytest.raises(BenchStopped, match="the supply was closed"):
+        bench.guard.arm()
+
+
+def test_who_is_told_may_fail():
+    clock = HandClock()
+    supply = SoftSupply(1, clock=clock, watchdog=None)
+
+    def told(text: str) -> None:
+        raise OSError("no room")
+
+    guard = Guard(supply, straight(1), Limits(10.0), clock, {}, told)
+    guard.arm()
+    guard.apply(np.array([1.0]))
+    guard.stop("test")
+    assert not supply.outputs().any()

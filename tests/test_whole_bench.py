@@ -51,15 +51,19 @@ def wait(until, seconds: float = 60.0) -> None:
 def test_the_turn_over_by_the_reference_device_and_a_rendered_video():
     """As `gelbot live` runs it, loop, guard, supply and eye; the gel adsorbs 13 % less than its model."""
     ready = make_ready(Source("turn-over"), (), ["material.p_ele=0.0174 cm^2/mA"])
-    clock = HandClock()  # the device lives in real time, the gel in that of its pictures
+    # The device lives in real time, the gel in that of its pictures, which take their time to be drawn and looked at:
+    # on a busy machine longer than a device waits.
+    clock, patient = HandClock(), 3.0
     load = ready.nominal.field.conductance @ ready.nominal.connection
-    with ServedDevice(ReferenceDevice(16, conductance=load)).start() as device:
-        supply = SerialSupply(device.port, watchdog=0.2)
+    with ServedDevice(ReferenceDevice(16, watchdog=patient, conductance=load)).start() as device:
+        supply = SerialSupply(device.port, watchdog=patient)
         said: list[str] = []
         guard = guard_of(ready.nominal, supply, clock, said.append)
         gel = SimulatedGel(ready.real, device.outputs)
         eye = rendered_eye(ready, gel, clock, said.append, seed=3, threaded=False)
         plant = GuardedPlant(guard, eye, clock)
+        gel.compile()
+        ready.warm(PLANNED, plant.observe().observation)
         guard.arm()
         ticks, off, over = [], [], []
         for tick in drive(plant, ready.driver(PLANNED), clock, 0.1, 32.0, WallClock()):

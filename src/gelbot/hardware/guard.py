@@ -16,14 +16,15 @@ program kills the guard too: then the device's own watchdog does the same.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from threading import Event, Lock, RLock, Thread
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelbot.clock import Clock, be_in_time
-from gelbot.errors import BenchStopped, SupplyFailed
+from gelbot.errors import BenchStopped, GelbotError
 from gelbot.hardware.limits import Limits, Wiring
 from gelbot.hardware.supply import Supply
 
@@ -81,7 +82,7 @@ class Guard:
         self.checks, self.longest_gap = 0, 0.0
         self.measured: Floats | None = None
         self.charge = 0.0
-        self._supply, self._clock, self._watches, self._on_event = supply, clock, dict(watches), on_event
+        self._supply, self._clock, self._watches, self._tell_of = supply, clock, dict(watches), on_event
         self._gel_clock = clock if gel_clock is None else gel_clock
         self._lock, self._telling = RLock(), Lock()
         self._fed = dict.fromkeys(self._watches, clock.now())
@@ -90,7 +91,9 @@ class Guard:
         self._applied = self._counted = self._gel_clock.now()
         self._off = Event()
         self._thread: Thread | None = None
-        self._strays = 0
+        self._strays, self._expired = 0, 0
+        # Whether the device has said that it is at zero; until then it is told so again and again.
+        self._is_zero, self._is_closed = False, False
 
     @property
     def given(self) -> Floats:
@@ -100,10 +103,20 @@ class Guard:
     # -- what those above may do
 
     def arm(self) -> None:
-        """Let the electrodes have voltages; all that is watched counts from now. Raises `BenchStopped` after a stop."""
+        """Let the electrodes have voltages; all that is watched counts from now.
+
+        Raises `BenchStopped` after a stop, and when the device does not say that it is at zero.
+        """
         with self._lock:
+            if self._is_closed:
+                raise BenchStopped("the supply was closed")
             if self.reason is not None:
                 raise BenchStopped(self.reason)
+            self._zero()
+            if not self._is_zero:
+                self.stop("the supply does not say that it is at zero volts")
+                raise BenchStopped(self.reason or "")
+            self._expired = self._expired_count()
             now = self._clock.now()
             self._fed = dict.fromkeys(self._watches, now)
             self._checked = now
@@ -124,8 +137,8 @@ class Guard:
 
     def feed(self, name: str) -> None:
         """A sign of life of one that is watched."""
-        with self._lock:
-            self._fed[name] = self._clock.now()
+        # Without the lock: whoever gives it must not wait for a device.
+        self._fed[name] = self._clock.now()
 
     def apply(self, voltages: Floats) -> Floats:
         """Put the electrodes at `voltages` [V], (e,), as far as the limits allow; returns what they got.
@@ -143,7 +156,7 @@ class Guard:
             if LOOP in self._fed:
                 self._fed[LOOP] = self._clock.now()
             now = self._gel_clock.now()
-            elapsed, self._applied = min(now - self._applied, STANDSTILL), now
+            elapsed, self._applied = min(max(now - self._applied, 0.0), STANDSTILL), now
             if not self.armed or self.waiting_for is not None:
                 return np.zeros_like(self._given)
             self._tell(self.limits.allowed(asked, self._given, elapsed))
@@ -159,8 +172,9 @@ class Guard:
         with self._lock:
             self.armed, self.waiting_for = False, None
             self._zero()
+            self.reason = self.reason or reason  # a reset may have come between
         if first:
-            self._on_event(f"stopped: {reason}")
+            self._say(f"stopped: {reason}")
 
     def close(self) -> None:
         """Zero volts, and let go of the supply."""
@@ -168,8 +182,11 @@ class Guard:
         if self._thread is not None:
             self._thread.join()
             self._thread = None
-        self.rest()
-        self._supply.close()
+        with self._lock:
+            if not self._is_closed:
+                self.rest()
+                self._is_closed = True
+                self._supply.close()
 
     # -- what it does by itself
 
@@ -185,7 +202,8 @@ class Guard:
             try:
                 self.check()
             except Exception as error:  # a guard does not fall asleep over a mistake of its own
-                self.stop(f"the guard failed: {error!r}")
+                with suppress(Exception):
+                    self.stop(f"the guard failed: {error!r}")
 
     def check(self) -> None:
         """Look once at everything that is watched."""
@@ -194,6 +212,8 @@ class Guard:
             gap, self._checked = now - self._checked, now
             self.checks += 1
             if not self.armed:
+                if not self._is_zero and now - self._written > HEARTBEAT:
+                    self._zero(is_told=True)
                 return
             self.longest_gap = max(self.longest_gap, gap)
             if gap < 0.0:
@@ -217,15 +237,13 @@ class Guard:
             self.waiting_for = waiting
             if waiting is not None:
                 self._zero()
-                self._on_event(f"zero volts: waiting for {waiting}")
+                self._say(f"zero volts: waiting for {waiting}")
             else:
-                self._on_event("all is seen again: going on")
+                self._say("all is seen again: going on")
 
     def _count(self) -> None:
         """Add up the charge, and stop when it is used up."""
-        now = self._gel_clock.now()
-        self.charge += self.limits.total_current(self._given) * (now - self._counted)
-        self._counted = now
+        self._count_last()
         if self.charge > self.limits.charge:
             self.stop(f"the charge is used up: {self.charge:.3g} C of {self.limits.charge:.3g} C")
 
@@ -240,8 +258,15 @@ class Guard:
         """Look whether the supply gives what it was told, and no more current than it may."""
         try:
             reading = self._supply.read()
-        except SupplyFailed as error:
-            self.stop(str(error))
+        except Exception as error:
+            self.stop(_words(error))
+            return
+        if not all(part is None or np.isfinite(part).all() for part in reading):
+            self.stop("the supply measures what is no number")
+            return
+        if self._expired_count() > self._expired:
+            # It was at zero, and would have gone back to its voltages in one step.
+            self.stop("the device's own watchdog had expired: the program stood still")
             return
         self.measured = reading.amperes
         if reading.amperes is not None:
@@ -267,21 +292,54 @@ class Guard:
             return
         try:
             self._supply.write(self.wiring.to_channels(voltages))
-        except SupplyFailed as error:
-            self.stop(str(error))
+        except Exception as error:
+            self.stop(_words(error))
             return
         self._given, self._written = voltages, self._clock.now()
-        if self.reason is not None:  # stopped while the device was written to
+        self._is_zero = False
+        if self._expired_count() > self._expired:
+            self.stop("the device's own watchdog had expired: the program stood still")
+        elif self.reason is not None:  # stopped while the device was written to
             self._zero()
 
-    def _zero(self) -> None:
-        """All electrodes at zero volts. A device that does not obey has a watchdog of its own."""
-        self._given = np.zeros_like(self._given)
+    def _zero(self, is_told: bool = False) -> None:
+        """All electrodes at zero volts, or as near to it as the supply can. A device that does not say that it did is
+        told again at each look; `is_told`: so is the user."""
+        if self._is_closed:
+            return
+        self._count_last()
+        self._given, self._is_zero = np.zeros_like(self._given), False
+        volts = self.wiring.to_channels(self._given)
         try:
-            self._supply.write(self.wiring.to_channels(self._given))
-        except SupplyFailed as error:
-            self._on_event(f"zero volts were not acknowledged, the device's watchdog must give them: {error}")
+            self._supply.write(np.clip(volts, *self._range()))
+            self._is_zero = True
+        except Exception as error:
+            if not is_told:
+                self._say(f"zero volts were not acknowledged, and are asked for again: {_words(error)}")
         self._written = self._clock.now()
+
+    def _count_last(self) -> None:
+        """What flowed until now counts, whatever it comes to."""
+        now = self._gel_clock.now()
+        self.charge += self.limits.total_current(self._given) * max(now - self._counted, 0.0)
+        self._counted = now
+
+    def _range(self) -> tuple[Any, Any]:
+        """What the supply can give [V], lowest and highest, if it says so."""
+        return getattr(self._supply, "lowest", -np.inf), getattr(self._supply, "highest", np.inf)
+
+    def _expired_count(self) -> int:
+        """How often the device's own watchdog has expired, if it says so."""
+        return int(getattr(self._supply, "expired_count", 0))
+
+    def _say(self, text: str) -> None:
+        """Tell what happened. Whoever is told may fail; the guard does not."""
+        with suppress(Exception):
+            self._tell_of(text)
+
+
+def _words(error: Exception) -> str:
+    return str(error) if isinstance(error, GelbotError) else f"the supply failed: {error!r}"
 
 
 def _odd(asked: Floats, shape: tuple[int, ...]) -> str:

@@ -73,6 +73,6 @@ class Limits:
         current is within its limit: the pattern stays what it was.
         """
         near = self.slew * elapsed if np.isfinite(self.slew) else np.inf
-        volts = np.clip(np.clip(asked, -self.voltage, self.voltage), last - near, last + near)
+        volts = np.clip(np.clip(asked, last - near, last + near), -self.voltage, self.voltage)
         total = self.total_current(volts)
         return volts * (self.current / total) if total > self.current else volts

@@ -90,10 +90,18 @@ class _Answering:
         """Until the other side is gone."""
         try:
             while True:
-                self._pipe.send(self._answer(*self._pipe.recv()))
+                name, arguments = self._pipe.recv()
+                try:
+                    answer = self._answer(name, arguments)
+                except Exception as error:  # the page must hear something, whatever it is
+                    answer = GelbotError(f"a mistake in the program: {error!r}")
+                self._pipe.send(answer)
         except (EOFError, OSError):
+            pass
+        finally:
             if not self.is_over:
                 self._actions.emergency_stop("the end of the page's program")
+                self._pipe.close()
 
     def _answer(self, name: str, arguments: tuple[Any, ...]) -> Any:
         if name not in ASKED:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import sys
+import time
 import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -29,7 +31,7 @@ from gelbot.scenario.schema import Scenario
 DEFAULT = "turn-over"
 STOP_KEYS = (" ", "\x1b", "\r", "\n", "q")
 """Space, Escape, Enter, q: in the terminal each is an emergency stop."""
-LOOK = 0.2
+LOOK = 0.05
 """So often [s] the keyboard is looked at, and whether all is over."""
 
 
@@ -56,7 +58,7 @@ def live_bench(asked: Asked, say: Callable[[str], None]) -> None:
     be_in_time()  # before there are threads
     prepare_engine()
     keep_compiled()
-    over = Event()
+    over = Over()
     with stopping(over):
         setup = setup_of(asked)
         source = source_of(asked, setup)
@@ -66,24 +68,42 @@ def live_bench(asked: Asked, say: Callable[[str], None]) -> None:
         folder = free_folder(Path("live"), name) if asked.out is None else checked_folder(asked.out)
         say("building the bench")
         session = Session(setup, source, folder, asked.changes, asked.real)
+        over.is_late = True
         try:
             if asked.controller is not None:
                 session.drive_with(asked.controller)
             with served_apart(session, asked.host, asked.port, asked.token) as address:
-                say(f"the bench is at {address}")
-                say("emergency stop: the red button, or the space bar, here or there; Ctrl-C ends it")
-                if asked.start:
-                    session.start()
-                if asked.browser:
-                    webbrowser.open(address)
-                with keyboard(lambda: session.emergency_stop("the keyboard"), over):
-                    while not over.wait(LOOK):
-                        pass
-                # Before the page is closed, which takes its time.
-                session.halt("the program was ended")
+                _serve(session, address, asked, over, say)
         finally:
             session.close()
     say(f"ended, all electrodes at zero volts{session.keeping.told()}")
+
+
+def _serve(session: Session, address: str, asked: Asked, over: Over, say: Callable[[str], None]) -> None:
+    """Until it is `over`; then zero volts, before the page is closed, which takes its time."""
+    try:
+        say(f"the bench is at {address}")
+        say("emergency stop: the red button, or the space bar, here or there; Ctrl-C ends it")
+        with keyboard(lambda: session.emergency_stop("the keyboard")):
+            if asked.browser:
+                # A browser in the terminal would not come back.
+                Thread(target=webbrowser.open, args=(address,), name="browser", daemon=True).start()
+            if asked.start and not over.is_set:
+                session.start()
+            while not over.is_set:
+                if over.is_held:
+                    over.is_held = False
+                    session.emergency_stop("Ctrl-Z")
+                time.sleep(LOOK)
+    finally:
+        session.halt("the program was ended")
+
+
+class Over:
+    """What signals have asked for: the end (`is_set`), a stop (`is_held`). Without a lock, for a signal may come in the
+    middle of anything. `is_late`: the bench is made, and there is something to end in good order."""
+
+    is_set = is_held = is_late = False
 
 
 def check_asked(asked: Asked, scenario: Scenario) -> None:
@@ -137,15 +157,22 @@ def _pace(text: str) -> float | None:
 
 
 @contextmanager
-def stopping(over: Event) -> Iterator[None]:
-    """SIGINT and SIGTERM set `over`; before the bench is made ready, they end the program."""
+def stopping(over: Over) -> Iterator[None]:
+    """Signals that would end the program, or let it stand still, tell `over`; before the bench is made, they end it."""
 
     def end(number: int, frame: FrameType | None) -> None:
-        if over.is_set():
+        over.is_set = True
+        if not over.is_late:
             raise KeyboardInterrupt
-        over.set()
 
-    known = {kind: signal.signal(kind, end) for kind in (signal.SIGINT, signal.SIGTERM)}
+    def hold(number: int, frame: FrameType | None) -> None:
+        over.is_held = True
+
+    handlers = dict.fromkeys(("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"), end) | {"SIGTSTP": hold}
+    # Some systems do not have them all.
+    known = {
+        kind: signal.signal(kind, does) for name, does in handlers.items() if (kind := getattr(signal, name, None))
+    }
     try:
         yield
     finally:
@@ -154,14 +181,14 @@ def stopping(over: Event) -> Iterator[None]:
 
 
 @contextmanager
-def keyboard(stop: Callable[[], None], over: Event) -> Iterator[None]:
+def keyboard(stop: Callable[[], None]) -> Iterator[None]:
     """Call `stop` when one of the `STOP_KEYS` is pressed in the terminal, if this is one."""
     if not sys.stdin.isatty():
         yield
         return
     done = Event()
     with _key_by_key():
-        thread = Thread(target=_read_keys, args=(stop, done, over), name="keyboard", daemon=True)
+        thread = Thread(target=_read_keys, args=(stop, done), name="keyboard", daemon=True)
         thread.start()
         try:
             yield
@@ -170,16 +197,18 @@ def keyboard(stop: Callable[[], None], over: Event) -> Iterator[None]:
             thread.join()
 
 
-def _read_keys(stop: Callable[[], None], done: Event, over: Event) -> None:
+def _read_keys(stop: Callable[[], None], done: Event) -> None:
     import select
 
-    while not done.is_set() and not over.is_set():
+    while not done.is_set():
         if select.select([sys.stdin], [], [], LOOK)[0]:
-            key = sys.stdin.read(1)
-            if not key:
+            # All that is there, past Python's own buffer, which `select` does not see.
+            keys = os.read(sys.stdin.fileno(), 1024).decode(errors="replace")
+            if not keys:
                 return
-            if key in STOP_KEYS:
-                stop()
+            if any(key in STOP_KEYS for key in keys):
+                with contextlib.suppress(Exception):  # the next key must be heard too
+                    stop()
 
 
 @contextmanager

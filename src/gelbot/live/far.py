@@ -16,6 +16,8 @@ from gelbot.errors import GelbotError
 from gelbot.live.actions import Actions
 from gelbot.live.moment import Moment, Stage
 
+PATIENCE = 20.0
+"""An answer must come within this time [s]."""
 ASKED = tuple(name for name in vars(Actions) if not name.startswith("_"))
 """What may be asked for over the pipe, and nothing else."""
 
@@ -131,6 +133,10 @@ class FarActions:
 def _over(pipe: Connection, name: str, arguments: tuple[Any, ...]) -> Any:
     try:
         pipe.send((name, arguments))
+        if not pipe.poll(PATIENCE):
+            # What it answers now would be taken for the answer to something else.
+            pipe.close()
+            raise GelbotError("the bench does not answer")
         answer = pipe.recv()
     except (EOFError, OSError) as error:
         raise GelbotError("the bench has ended") from error

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from gelbot import __version__
 from gelbot.bench import Tick
 from gelbot.control.programme import Command
-from gelbot.errors import GelbotError
 from gelbot.live.ready import Ready
 from gelbot.live.twin import Twin
 from gelbot.record.log import BenchLog
@@ -95,9 +94,10 @@ class Keeping:
 
     def event(self, time: float, text: str) -> None:
         """Something that happened. A log that cannot be written has been told of before."""
-        if self._log is not None:
+        log = self._log  # another thread may close it meanwhile
+        if log is not None:
             with suppress(OSError):
-                self._log.event(time, text)
+                log.event(time, text)
 
     def record(self, wanted: bool, ready: Ready) -> None:
         """Begin or end a recording of the simulated gel. Raises `OSError`."""
@@ -109,6 +109,11 @@ class Keeping:
             self._writer.close()
             self._writer = None
         self.recording = self._writer is not None
+
+    @property
+    def failed(self) -> str:
+        """Why the recording could not be written, if it could not."""
+        return "" if self._writer is None else self._writer.failed
 
     def told(self) -> str:
         """Where the files are, in words; nothing where there are none."""
@@ -133,6 +138,7 @@ class Writer:
 
     def __init__(self, ready: Ready, path: Path) -> None:
         self.frames: SimpleQueue[list[Frame] | None] = SimpleQueue()
+        self.failed = ""
         self._experiment = ready.nominal
         self._store = RunStore.create(path, static_part(ready.nominal, ready.loaded))
         self._thread = Thread(target=self._write, name="recording", daemon=True)
@@ -144,16 +150,15 @@ class Writer:
         self._thread.join()
 
     def _write(self) -> None:
-        status = "finished"
         while (frames := self.frames.get()) is not None:
-            if status != "finished":
+            if self.failed:
                 continue
             try:
                 self._store.append(frames_part(self._experiment, jax.tree.map(lambda *p: np.stack(p), *frames)))
-            except (OSError, GelbotError) as error:
-                status = f"failed: {error}"
+            except Exception as error:
+                self.failed = f"the recording ends here: {error}"
         with suppress(OSError):
-            self._store.finish(status)
+            self._store.finish(f"failed: {self.failed}" if self.failed else "finished")
 
 
 def _frame(tick: Tick, twin: Twin) -> Frame:

@@ -11,9 +11,11 @@ import sys
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +23,11 @@ from numpy.typing import NDArray
 from gelbot.bench import Decision, Driver, Tick, drive
 from gelbot.clock import WallClock, be_in_time
 from gelbot.errors import BadInput, BenchStopped, GelbotError
+from gelbot.hardware.guard import Guard
 from gelbot.live.drivers import ByHand, Programmed
 from gelbot.live.keeping import Keeping
 from gelbot.live.moment import Moment, Seen, Stage, Ticks
-from gelbot.live.ready import HAND, SERVO, Ready, Source, make_ready, stage_of
+from gelbot.live.ready import HAND, OFFERED, SERVO, Ready, Source, make_ready, stage_of
 from gelbot.live.setups import Setup
 from gelbot.live.twin import Twin
 from gelbot.plan.templates import template
@@ -34,6 +37,8 @@ from gelbot.scenario.load import names
 Floats = NDArray[np.float64]
 REMEMBERED = 600
 """Ticks whose times the page tells of: a minute of them."""
+PATIENCE = 10.0
+"""The thread must be over within this time [s] once it is told to."""
 IDLE = 0.02
 """So long [s] the thread sleeps where there is nothing to do."""
 SWITCH = 2e-4
@@ -56,6 +61,15 @@ class Helm:
         return self.driver.decide(time - self._since, seen)
 
 
+class Standing(NamedTuple):
+    """What stands: a scenario, the simulator beside it, what the page shows of both, and the guard over it."""
+
+    ready: Ready
+    twin: Twin
+    stage: Stage
+    guard: Guard
+
+
 class Session:
     """A `setup` under a scenario; see `live.actions.Actions` for what a user can do.
 
@@ -72,13 +86,18 @@ class Session:
         self._took, self._late = deque[float](maxlen=REMEMBERED), 0
         self._last: Tick | None = None
         self._ticks: Iterator[Tick] | None = None
-        self._single = False
-        self._closing = False
+        self._single = self._closing = self._is_changing = False
+        # What was stopped stays stopped, whatever was asked for before and is done later: a start counts the stops.
+        self._stops, self._stopped_by, self._has_ended = 0, "", False
+        self._notes: list[str] = []
+        # Whoever chooses another scenario in the browser keeps the bench's own limits.
+        self._changes = tuple(changes)
+        self._fixed = tuple(change for change in changes if change.startswith(("supply.", "camera.")))
         self._wall = WallClock()
-        self._ready = make_ready(source, changes, self._real)
+        self._has_helm = False
         self.keeping = Keeping(folder)
         try:
-            self._begin(self._ready)
+            self._begin(make_ready(source, changes, self._real), 0)
         except BaseException:
             setup.close()
             raise
@@ -90,7 +109,7 @@ class Session:
 
     def stage(self) -> Stage:
         """What stands."""
-        return self._stage
+        return self._standing.stage
 
     def scenarios(self) -> list[str]:
         """The names of the scenarios that can be chosen."""
@@ -99,26 +118,29 @@ class Session:
 
     def moment(self) -> Moment:
         """The newest moment. The simulated gel is shown a period late, so that it moves smoothly between ticks."""
-        ready, twin, tick, helm, driver = self._ready, self._twin, self._last, self._helm, self._helm.driver
+        (ready, twin, _, guard), tick, helm = self._standing, self._last, self._helm
+        driver = helm.driver
         period = ready.nominal.scenario.programme.control_period
         shape = twin.shape_at(self.setup.clock.now() - period)
-        given = self.setup.guard.given if self._guarded() else np.zeros(ready.nominal.array.count)
-        if tick is not None and self._state == RUNNING and not self._guarded():
-            given = tick.given
-        phases = ready.phases(helm.name)
+        count = ready.nominal.array.count
+        given = guard.given
+        if len(given) != count:  # of a recording
+            has_given = tick is not None and self._state == RUNNING and len(tick.given) == count
+            given = tick.given if tick is not None and has_given else np.zeros(count)
+        phases = ready.phases(helm.name) if helm.name in ready.controllers else [""]
         reference = np.nan if tick is None else tick.decided.reference
         if isinstance(driver, Programmed) and driver.reference is not None:
             reference = driver.reference
         return Moment(
             number=self._number,
-            state=STOPPED if self.setup.guard.reason is not None else self._state,
+            state=STOPPED if guard.reason is not None else RUNNING if self._is_changing else self._state,
             message=twin.broken or self.message,
             time=self._time,
             positions=shape.positions,
             adsorption=shape.adsorption,
             asked=self._asked(given),
             given=given,
-            currents=self._currents(given),
+            currents=_currents(ready, given),
             observed=None if tick is None else _seen(tick),
             reference=reference,
             phase="" if tick is None else phases[min(tick.decided.phase, len(phases) - 1)],
@@ -140,28 +162,38 @@ class Session:
     # -- what a user does; each returns at once, but checks what it was given
 
     def choose(self, scenario: str) -> None:
-        """Another scenario, by name or file."""
-        # What stands is chosen anew as it was written: that may be a recording's own.
-        source = self._ready.source if scenario == self._ready.source.name else Source(scenario)
-        source.load(())
-        self._do(lambda: self._rebuild(source, ()))
+        """Another of the `scenarios`."""
+        if scenario not in self.scenarios():
+            raise BadInput("scenario", scenario, "one of " + ", ".join(self.scenarios()))
+        # What stands is chosen anew as it was begun with: that may be a recording's own.
+        own = scenario == self._ready.source.name
+        source, changes = (self._ready.source, self._changes) if own else (Source(scenario), self._fixed)
+        source.load(changes)
+        stops = self._stops
+        self._do(lambda: self._rebuild(source, changes, stops))
 
     def change(self, changes: Mapping[str, str]) -> None:
         """Values of the scenario, by key."""
         kept = {change.partition("=")[0]: change for change in self._ready.changes}
-        kept.update({key: f"{key}={value}" for key, value in changes.items()})
-        self._ready.source.load(list(kept.values()))
-        self._do(lambda: self._rebuild(self._ready.source, tuple(kept.values())))
+        for key, value in changes.items():
+            if key.partition(".")[0] not in OFFERED:
+                raise BadInput(key, value, "a key of " + ", ".join(OFFERED))
+            kept[key] = f"{key}={value}"
+        source, stops = self._ready.source, self._stops
+        source.load(list(kept.values()))
+        self._do(lambda: self._rebuild(source, tuple(kept.values()), stops))
 
     def start(self) -> None:
         """Go, or go on."""
         self._check_free()
-        self._do(self._go)
+        stops = self._stops
+        self._do(lambda: self._go(stops))
 
     def step(self) -> None:
         """One control period."""
         self._check_free()
-        self._do(self._go_once)
+        stops = self._stops
+        self._do(lambda: self._go_once(stops))
 
     def pause(self) -> None:
         """Stand still with zero volts."""
@@ -169,16 +201,23 @@ class Session:
 
     def reset(self) -> None:
         """Back to the beginning."""
-        self._do(lambda: self._begin(self._ready))
+        stops = self._stops
+        self._do(lambda: self._begin_again(stops))
 
     def emergency_stop(self, who: str) -> None:
         """Zero volts now."""
-        self.setup.guard.stop(f"emergency stop, by {who}")
+        self._stop(f"emergency stop, by {who}")
 
     def halt(self, reason: str) -> None:
-        """Zero volts now, for another reason than the user's."""
-        if self._state == RUNNING:
-            self.setup.guard.stop(reason)
+        """Zero volts now, and for good."""
+        self._has_ended = True
+        self._stop(reason)
+
+    def _stop(self, why: str) -> None:
+        # First counted, then done: a start that is on its way sees it, whichever guard it arms.
+        self._stopped_by = why
+        self._stops += 1
+        self.setup.guard.stop(why)
 
     def drive_with(self, controller: str) -> None:
         """Who drives."""
@@ -233,11 +272,15 @@ class Session:
     def close(self) -> None:
         """Zero volts; the log is closed, and all threads are over."""
         self._closing = True
+        self.halt("the program was ended")
         self._do(lambda: None)
-        if self._thread.is_alive():
-            self._thread.join()
-        self.setup.close()
-        self.keeping.close()
+        try:
+            self._thread.join(PATIENCE)
+        finally:
+            try:
+                self.setup.close()
+            finally:
+                self.keeping.close()
 
     # -- the thread
 
@@ -250,7 +293,8 @@ class Session:
             self._obey()
             if self._state == RUNNING:
                 self._turn()
-        self.setup.guard.rest()
+        with suppress(Exception):
+            self.setup.guard.rest()
 
     def _obey(self) -> None:
         """Do what was asked; wait a little for it where nothing else is to be done."""
@@ -295,13 +339,17 @@ class Session:
 
     def _after(self, tick: Tick) -> None:
         """What belongs to a tick, and may wait until the electrodes have their voltages."""
-        twin, period = self._twin, self._ready.nominal.scenario.programme.control_period
+        ready, twin = self._ready, self._twin
+        period = ready.nominal.scenario.programme.control_period
         twin.advance(self.setup.clock.now())
         twin.voltages = tick.given
         self._took.append(tick.took)
         self._late += tick.missed
         self._last, self._number, self._time = tick, self._number + 1, tick.time + period
-        self.keeping.tick(tick, self._currents(tick.given), self.setup.guard.measured, twin)
+        self.keeping.tick(tick, _currents(ready, tick.given), self.setup.guard.measured, twin)
+        if self.keeping.failed:
+            self._tell(self.keeping.failed)
+            self.keeping.record(False, ready)
         self.setup.kept_up(tick.missed)
         if self.setup.guard.reason is not None:
             self._halt(STOPPED, self.setup.guard.reason)
@@ -328,51 +376,77 @@ class Session:
 
     # -- commands, in the thread
 
-    def _begin(self, ready: Ready, controller: str | None = None) -> None:
-        """Everything at its beginning."""
+    def _begin(self, ready: Ready, stops: int) -> None:
+        """Everything at its beginning; what was stopped since it was asked for stays stopped."""
         self._halt_if_any()
-        self.setup.begin(ready, self._tell)
-        name = controller or (self._helm.name if hasattr(self, "_helm") else ready.controllers[1])
+        self._notes = []
+        self.setup.begin(ready, self._note)
+        name = self._helm.name if self._has_helm else ready.controllers[1]
         name = name if name in ready.controllers else ready.controllers[1]
         ready.warm(name, self.setup.first_sight())
-        self._twin = Twin(ready.nominal, self.setup.clock.now())
-        self._twin.gel.compile()
-        self._twin.arrows()
-        self._stage = stage_of(ready, self.setup.words, self.setup.has_camera)
-        self._ready, self._helm = ready, Helm(name, ready.driver(name))
+        twin = Twin(ready.nominal, self.setup.clock.now())
+        twin.gel.compile()
+        twin.arrows()
+        stage = stage_of(ready, self.setup.words, self.setup.has_camera)
+        self._helm, self._has_helm = Helm(name, ready.driver(name)), True
         self._last, self._number, self._time, self._late = None, 0, 0.0, 0
         self._took.clear()
+        self._standing = Standing(ready, twin, stage, self.setup.guard)
         self.keeping.begin(ready, self.setup.words)
-        self._state, self.message = READY, ""
+        self._state, self.message = READY, self._notes[-1] if self._notes else ""
+        if self._stops != stops:
+            self.setup.guard.stop(self._stopped_by)
+
+    def _begin_again(self, stops: int) -> None:
+        try:
+            self._begin(self._ready, stops)
+        except Exception as error:
+            self._halt(STOPPED, "")
+            self.setup.guard.stop(_words(error))
+            raise
 
     def _halt_if_any(self) -> None:
-        if hasattr(self, "_twin"):
+        if self._has_helm:
             self._halt(BUILDING, "")
 
-    def _rebuild(self, source: Source, changes: tuple[str, ...]) -> None:
+    def _rebuild(self, source: Source, changes: tuple[str, ...], stops: int) -> None:
         self._halt(BUILDING, "building")
         try:
-            self._begin(make_ready(source, changes, self._real, self._ready))
-        except GelbotError as error:
+            self._begin(make_ready(source, changes, self._real, self._ready), stops)
+        except (GelbotError, OSError) as error:
             # What stood before stands again.
-            self._begin(self._ready)
-            self._tell(str(error))
+            self._begin_again(stops)
+            self._tell(_words(error))
 
     def _check_free(self) -> None:
-        if self.setup.guard.reason is not None:
-            raise BadInput("start", f"stopped: {self.setup.guard.reason}", "a reset first")
+        reason = self._stopped_by if self._has_ended else self.setup.guard.reason
+        if reason is not None:
+            raise BadInput("start", f"stopped: {reason}", "a reset first")
+        if self._state == BUILDING:
+            raise BadInput("start", "still building", "a start when it stands")
 
-    def _go(self) -> None:
-        if self._state != RUNNING:
-            self.keeping.open()
-            _settle_memory()
-            self.setup.go()
-            self.keeping.event(self._time, f"started, driven by: {self._helm.name}")
-            self._state, self.message = RUNNING, ""
+    def _go(self, stops: int) -> None:
+        if self._state == RUNNING:
+            return
+        self._check_stops(stops)
+        self.keeping.open()
+        for note in self._notes:
+            self.keeping.event(self._time, note)
+        self._notes = []
+        _settle_memory()
+        self.setup.go()
+        self.keeping.event(self._time, f"started, driven by: {self._helm.name}")
+        self._state = RUNNING
+        if self._stops != stops:  # it came while this was done
+            self.setup.guard.stop(self._stopped_by)
 
-    def _go_once(self) -> None:
+    def _check_stops(self, stops: int) -> None:
+        if self._has_ended or self._stops != stops:
+            raise BenchStopped(self._stopped_by)
+
+    def _go_once(self, stops: int) -> None:
         if self._state != RUNNING:
-            self._go()
+            self._go(stops)
             self._single = True
 
     def _pause(self) -> None:
@@ -383,34 +457,50 @@ class Session:
     def _seat(self, name: str) -> None:
         if name == self._helm.name:
             return
-        running = self._state == RUNNING
+        running, stops = self._state == RUNNING, self._stops
         sight = self._last.seen.observation if self._last is not None else self.setup.first_sight()
-        if running:
-            # Compiling takes longer than the guard waits.
-            self._halt(PAUSED, "")
-        self._ready.warm(name, sight)
-        self._helm = Helm(name, self._ready.driver(name))
-        self.keeping.event(self._time, f"driven by: {name}")
-        if running:
-            self._go()
+        self._is_changing = running
+        try:
+            if running:
+                # Compiling takes longer than the guard waits.
+                self._halt(PAUSED, "")
+            self._ready.warm(name, sight)
+            self._helm = Helm(name, self._ready.driver(name))
+            self.keeping.event(self._time, f"driven by: {name}")
+            if running:
+                self._go(stops)
+        finally:
+            self._is_changing = False
 
     def _by_hand(self, changed: Callable[[Floats], Floats]) -> None:
         driver = self._helm.driver
         if not isinstance(driver, ByHand):
-            now = self.setup.guard.given if self._guarded() else np.zeros(self._ready.nominal.array.count)
-            driver = ByHand(len(now))
-            driver.voltages = now
+            count, now = self._ready.nominal.array.count, self.setup.guard.given
+            driver = ByHand(count)
+            driver.voltages = now if len(now) == count else np.zeros(count)
             self._helm = Helm(HAND, driver)
             if self._state == RUNNING:
                 self._ticks = None
             self.keeping.event(self._time, f"driven by: {HAND}")
         driver.voltages = changed(driver.voltages)
 
-    def _guarded(self) -> bool:
-        return len(self.setup.guard.given) == self._ready.nominal.array.count
+    def _note(self, text: str) -> None:
+        """What setup and guard have to say: for the user, and for the log, once there is one."""
+        if self._state in (READY, BUILDING):
+            self._notes.append(text)
+        self._tell(text)
 
-    def _currents(self, given: Floats) -> Floats:
-        return self._ready.nominal.field.conductance @ (self._ready.nominal.connection @ given)
+    @property
+    def _ready(self) -> Ready:
+        return self._standing.ready
+
+    @property
+    def _twin(self) -> Twin:
+        return self._standing.twin
+
+
+def _currents(ready: Ready, given: Floats) -> Floats:
+    return ready.nominal.field.conductance @ (ready.nominal.connection @ given)
 
 
 def _settle_memory() -> None:

@@ -26,8 +26,13 @@ from gelbot.plants.played import PlayedPlant, recording
 from gelbot.plants.simulated import SimulatedGel
 from gelbot.plants.watching import CameraEye
 from gelbot.points import Observation
+from gelbot.units import shown
 
 Tell = Callable[[str], None]
+
+
+LONGEST_PERIOD = 0.15
+"""A control period that leaves time to see that the loop has stalled [s]."""
 
 
 class Setup(Protocol):
@@ -139,8 +144,8 @@ class SimulatedSetup:
 
     def go(self) -> None:
         """Let it go on."""
-        self.clock.go()
         self.guard.arm()
+        self.clock.go()
 
     def stand(self) -> None:
         """Zero volts; it stands still."""
@@ -197,6 +202,10 @@ class BenchSetup:
     def begin(self, ready: Ready, tell: Tell) -> None:
         """Open what is there anew. Raises `SupplyFailed`, `CameraFailed` and `BadInput`."""
         self.close()
+        period = ready.nominal.scenario.programme.control_period
+        if period > LONGEST_PERIOD:
+            allowed = f"at most {shown(LONGEST_PERIOD, 's')} on the bench: a loop that is silent for longer is stopped"
+            raise BadInput("programme.control_period", shown(period, "s"), allowed)
         supply = self._open_supply(ready, self.clock)
         try:
             self.guard = guard_of(ready.nominal, supply, self.clock, tell)
@@ -266,8 +275,8 @@ class PlayedSetup:
 
     def go(self) -> None:
         """Play."""
-        self.clock.go()
         self.guard.arm()
+        self.clock.go()
 
     def stand(self) -> None:
         """Stand still."""

@@ -67,7 +67,22 @@ def guard_of(
         CAMERA: Watch(max(camera.lost_after, late), camera.patience),
     }
     wiring = wiring_of(scenario, supply.channel_count)
+    _check_zero(wiring, supply)
     return Guard(supply, wiring, limits_of(experiment), clock, watches, on_event, gel_clock)
+
+
+def _check_zero(wiring: Wiring, supply: Supply) -> None:
+    """Zero volts on every electrode is something that the supply can give, or a `BadInput`."""
+    zero = wiring.to_channels(np.zeros(len(wiring.channel)))
+    lowest, highest = (np.broadcast_to(getattr(supply, name, end), zero.shape)
+                       for name, end in (("lowest", -np.inf), ("highest", np.inf)))  # fmt: skip
+    beyond = (zero < lowest - 1e-9) | (zero > highest + 1e-9)
+    if beyond.any():
+        k = int(np.argmax(beyond))
+        given = f"an offset for which channel {k} must give {zero[k]:.3g} V for zero volts on its electrode"
+        raise BadInput(
+            "supply.offset", given, f"one that {supply.name} can undo, from {lowest[k]:g} V to {highest[k]:g} V"
+        )
 
 
 def soft_supply(experiment: Experiment, clock: Clock, watchdog: float | None = None) -> SoftSupply:

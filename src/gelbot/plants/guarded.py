@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -13,7 +14,9 @@ from gelbot.plant import Sighting
 
 
 class Eye(Protocol):
-    """What sees the gel."""
+    """What sees the gel. It calls `on_seen` for each new sighting of it, at once and from whichever thread."""
+
+    on_seen: Callable[[], None]
 
     def look(self, now: float) -> Sighting:
         """The newest that has been seen by `now` [s]; confidence 0 where the gel is lost."""
@@ -27,15 +30,12 @@ class GuardedPlant:
     """
 
     def __init__(self, guard: Guard, eye: Eye, clock: Clock) -> None:
-        self.guard, self.eye = guard, eye
-        self._clock, self._newest = clock, -np.inf
+        self.guard, self.eye, self.clock = guard, eye, clock
+        eye.on_seen = lambda: guard.feed(CAMERA)
 
     def observe(self) -> Sighting:
         """What is seen of the gel."""
-        sighting = self.eye.look(self._clock.now())
-        if sighting.confidence > 0.0 and sighting.time > self._newest:
-            self._newest = sighting.time
-            self.guard.feed(CAMERA)
+        sighting = self.eye.look(self.clock.now())
         self.guard.check()
         return sighting
 

@@ -101,6 +101,7 @@ class SimulatedEye:
 
     def __init__(self, gel: SimulatedGel, noise: Noise, delay: float, seed: int = 0) -> None:
         self.gel, self.covered = gel, False
+        self.on_seen: Callable[[], None] = lambda: None
         self._noise, self._delay, self._random = noise, delay, np.random.default_rng(seed)
         self._past: deque[Sighting] = deque([self._sighting(gel.time)])
 
@@ -111,6 +112,7 @@ class SimulatedEye:
             return self._past[0]._replace(confidence=0.0)
         if self.gel.time > self._past[-1].time:
             self._past.append(self._sighting(self.gel.time))
+            self.on_seen()
         while len(self._past) > 1 and self._past[1].time <= now - self._delay + SLACK:
             self._past.popleft()
         return self._past[0]

@@ -125,6 +125,7 @@ class CameraEye:
 
     def __init__(self, camera: Camera, tracker: Tracker, clock: Clock, threaded: bool = True) -> None:
         self._camera, self._tracker, self._clock = camera, tracker, clock
+        self.on_seen: Callable[[], None] = lambda: None
         self._newest: tuple[Picture, Tracked] | None = None
         self._drawn: tuple[Tracked, NDArray[np.uint8]] | None = None
         self._failure: Exception | None = None
@@ -184,7 +185,10 @@ class CameraEye:
         picture = self._camera.latest()
         if picture is None:
             return False
-        self._newest = picture, self._tracker.look(picture.pixels, picture.time)
+        found = self._tracker.look(picture.pixels, picture.time)
+        self._newest = picture, found
+        if found.confidence > 0.0:
+            self.on_seen()
         return True
 
 
