@@ -12,7 +12,7 @@ import pytest
 import viser
 from viser import _messages as messages
 from websockets.exceptions import InvalidStatus
-from websockets.sync.client import connect
+from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
 from gelbot.errors import BadInput
@@ -56,6 +56,13 @@ def raw(port: int, sent: bytes) -> tuple[int, dict[str, str], str]:
     head, _, body = got.decode("latin-1").partition("\r\n\r\n")
     first, *rest = head.split("\r\n")
     return int(first.split()[1]), {k.lower(): v for k, v in (line.split(": ", 1) for line in rest)}, body
+
+
+def _socket(port: int) -> ClientConnection:
+    """A connection that was let in."""
+    return connect(
+        f"ws://127.0.0.1:{port}/", origin=Origin(f"http://127.0.0.1:{port}"), subprotocols=[VISER], compression=None
+    )
 
 
 def shake(port: int, origin: str | None = "own", cookie: str = "") -> int:
@@ -186,12 +193,38 @@ def test_who_dawdles_is_sent_away(open_to_all: Served, monkeypatch: pytest.Monke
 
 
 def test_dawdlers_do_not_lock_others_out(open_to_all: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gate, "PATIENCE", 0.5)
+    monkeypatch.setattr(gate, "PATIENCE", 60.0)
     with contextlib.ExitStack() as held:
-        for _ in range(gate.MOST_CONNECTIONS + 20):
-            held.enter_context(socket.create_connection(("127.0.0.1", open_to_all.port)))
-        time.sleep(0.8)
+        inside = held.enter_context(_socket(open_to_all.port))
+        address = "127.0.0.1", open_to_all.port
+        idle = [held.enter_context(socket.create_connection(address)) for _ in range(gate.MOST_CONNECTIONS + 20)]
+        # The first of them had to go.
+        idle[0].settimeout(5.0)
+        assert idle[0].recv(1) == b""
         assert ask(open_to_all.port)[0] == 200
+        assert shake(open_to_all.port) == 101
+        assert inside.ping().wait(5.0)
+
+
+def test_those_who_were_let_in_have_places_of_their_own(open_to_all: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gate, "MOST_CONNECTIONS", 2)
+    monkeypatch.setattr(gate, "PATIENCE", 60.0)
+    port = open_to_all.port
+    with contextlib.ExitStack() as held:
+        for _ in range(gate.MOST_WAITING):
+            held.enter_context(socket.create_connection(("127.0.0.1", port)))
+        with _socket(port), _socket(port):
+            assert ask(port)[0] == 503
+            assert ask(port, host="evil.example")[0] == 403
+        end = time.monotonic() + 5.0
+        while ask(port)[0] != 200:
+            assert time.monotonic() < end
+
+
+def test_an_address_that_cannot_be_read_is_answered(locked: Served, open_to_all: Served) -> None:
+    for served in (locked, open_to_all):
+        for path in ("//[x", "//[x?token=y", "//a]b/"):
+            assert ask(served.port, path)[0] == 400
 
 
 def test_nobody_can_ask_for_a_tunnel_past_the_door(open_to_all: Served) -> None:

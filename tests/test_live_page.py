@@ -2,26 +2,35 @@
 
 from __future__ import annotations
 
+import dataclasses
+import logging
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
+import viser
 from playwright.sync_api import Browser, Locator, Page, sync_playwright
+from viser import _messages as messages
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin, Subprotocol
 
 from browser import CANVAS, NO_BROWSER, click_electrode, electrode_on_page, launch, open_page, until
-from gelbot.errors import BadInput
-from gelbot.live import colours
+from gelbot.errors import BadInput, GelbotError
+from gelbot.live import colours, page, shared
 from gelbot.live.between import Between
 from gelbot.live.hand import Hand
 from gelbot.live.plots import History
 from gelbot.live.scene import short
 from gelbot.live.seat import Seat
 from gelbot.live.serve import Served, serve
-from toy import Toy
+from gelbot.live.shared import Errands, Rest
+from toy import SCENARIOS, Toy
 
 in_browser = pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER or "there is one")
 ELECTRODE = 15
@@ -61,7 +70,340 @@ def press(page: Page, label: str) -> None:
     page.get_by_role("button", name=label, exact=True).click()
 
 
+class Piped(Toy):
+    """As over a pipe: one question at a time, and while the test holds `pipe`, no answer. The stop has its own."""
+
+    def __init__(self) -> None:
+        super().__init__(camera=False)
+        self.pipe = threading.RLock()
+        for name in ("moment", "stage", "start", "reset", "choose", "change", "drive_with", "set_voltage"):
+            setattr(self, name, self._through(getattr(self, name)))
+        for name in ("set_pattern", "set_reference", "scenarios", "step", "pause", "record", "set_pace"):
+            setattr(self, name, self._through(getattr(self, name)))
+
+    def _through(self, plain: Callable[..., Any]) -> Callable[..., Any]:
+        def ask(*arguments: Any) -> Any:
+            with self.pipe:
+                return plain(*arguments)
+
+        return ask
+
+
+@pytest.fixture
+def piped() -> Iterator[Piped]:
+    session = Piped()
+    with session:
+        yield session
+
+
+@pytest.fixture
+def shown(piped: Piped) -> Iterator[Served]:
+    with serve(piped, port=0) as page:
+        yield page
+
+
+@contextmanager
+def plain_browser(served: Served) -> Iterator[ClientConnection]:
+    """What says that it is a browser, and sends what it likes."""
+    before = len(served.page.browsers())
+    wire = connect(
+        f"ws://127.0.0.1:{served.port}/", origin=Origin(f"http://127.0.0.1:{served.port}"),
+        subprotocols=[Subprotocol(f"viser-v{viser.__version__}")], compression=None, max_size=None, max_queue=None,
+    )  # fmt: skip
+    with wire:
+        # From above, with all plates in the picture.
+        place, middle = (12.5, 12.5, 300.0), (12.5, 12.5, 0.0)
+        camera = (0.0, 1.0, 0.0, 0.0), place, 1.0, 0.1, 1e3, 600, 800, middle, (0.0, 1.0, 0.0)
+        send(wire, messages.ViewerCameraMessage(*camera))
+        until(lambda: len(served.page.browsers()) > before, 5.0)
+        yield wire
+
+
+def send(wire: ClientConnection, message: messages.Message) -> None:
+    wire.send(msgspec.msgpack.encode({"type": type(message).__name__, **dataclasses.asdict(message)}))
+
+
+def control(served: Served, label: str) -> Any:
+    """The control with this label, or the group with a button of this name."""
+    for handle in served.page._server.gui._gui_input_handle_from_uuid.values():
+        properties: Any = handle._impl.props
+        if getattr(properties, "label", "") == label or label in getattr(properties, "options", ()):
+            return handle
+    raise LookupError(label)
+
+
+def put(wire: ClientConnection, served: Served, label: str, value: object = True) -> None:
+    send(wire, messages.GuiUpdateMessage(control(served, label)._impl.uuid, {"value": value}))
+
+
+def click(wire: ClientConnection, electrode: int) -> None:
+    ray = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+    send(wire, messages.SceneNodeClickMessage(f"/stage/electrodes/{electrode}", None, *ray, (0.5, 0.5), None))
+
+
+def drag(wire: ClientConnection) -> None:
+    send(wire, messages.TransformControlsDragStartMessage("/reference"))
+    send(wire, messages.TransformControlsUpdateMessage("/reference", (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 4.0)))
+
+
+def paint(wire: ClientConnection) -> None:
+    send(wire, messages.ScenePointerMessage("rect-select", None, None, [(0.0, 0.0), (1.0, 1.0)], "shift"))
+
+
 # Without a browser.
+
+
+@pytest.mark.parametrize(
+    "what",
+    [
+        lambda wire, served: put(wire, served, "start", "start"),
+        lambda wire, served: put(wire, served, "driven by", "servo"),
+        lambda wire, served: put(wire, served, "scenario", "lift"),
+        lambda wire, served: put(wire, served, "height, mm", 2.0),
+        lambda wire, served: put(wire, served, "all zero"),
+        lambda wire, served: put(wire, served, "set pattern at the brush's volts"),
+        lambda wire, served: (put(wire, served, "body.width", "20 mm"), put(wire, served, "build")),
+        lambda wire, served: click(wire, 3),
+        lambda wire, served: paint(wire),
+        lambda wire, served: drag(wire),
+    ],
+    ids=["start", "driver", "scenario", "height", "zero", "pattern", "build", "click", "rectangle", "handle"],
+)
+def test_the_stop_waits_for_nothing_that_was_asked_before(piped: Piped, shown: Served, what: Any) -> None:
+    with plain_browser(shown) as wire:
+        with piped.pipe:
+            what(wire, shown)
+            until(lambda: not shown.page._errands.is_idle, 5.0)
+            put(wire, shown, "EMERGENCY STOP")
+            until(lambda: called(piped, "emergency_stop") == [("browser 1",)], 1.0)
+        until(lambda: shown.page._errands.is_idle, 5.0)
+
+
+def test_what_waited_when_the_stop_came_is_not_done(piped: Piped, shown: Served) -> None:
+    with plain_browser(shown) as wire:
+        with piped.pipe:
+            for name in ("servo", "planned"):
+                put(wire, shown, "driven by", name)
+            for name in ("reset", "start"):
+                put(wire, shown, name, name)
+            until(lambda: shown.page._errands._sent == 4, 5.0)
+            put(wire, shown, "EMERGENCY STOP")
+            until(lambda: called(piped, "emergency_stop"), 1.0)
+        until(lambda: shown.page._errands.is_idle, 5.0)
+        assert called(piped, "reset") == called(piped, "start") == []
+        assert called(piped, "drive_with") == [("servo",)]  # was on its way
+        assert piped.moment().state == "stopped"
+        until(lambda: control(shown, "driven by").value == "servo", 5.0)
+        # After it everything is done again.
+        put(wire, shown, "reset", "reset")
+        until(lambda: called(piped, "reset"), 5.0)
+
+
+def test_what_is_asked_is_done_in_order_and_the_last_is_shown(piped: Piped, shown: Served) -> None:
+    with plain_browser(shown) as wire, plain_browser(shown) as watcher:
+        with piped.pipe:
+            for name in ("servo", "planned", "nobody", "predictive"):
+                put(wire, shown, "driven by", name)
+            put(watcher, shown, "driven by", "by hand")
+        until(lambda: len(called(piped, "drive_with")) == 4, 5.0)
+        assert [name for (name,) in called(piped, "drive_with")] == ["servo", "planned", "nobody", "predictive"]
+        until(lambda: control(shown, "driven by").value == "predictive", 5.0)
+        put(wire, shown, "height, mm", -1.0)
+        put(wire, shown, "scenario", "no such")
+        until(lambda: called(piped, "choose"), 5.0)
+        until(lambda: control(shown, "scenario").value == SCENARIOS[0], 5.0)
+
+
+def test_a_button_that_is_none_calls_nothing(piped: Piped, shown: Served) -> None:
+    with plain_browser(shown) as wire:
+        for name in ("tampered", "__init__", "step"):
+            put(wire, shown, "start", name)
+        until(lambda: called(piped, "step"), 5.0)
+        assert {call[0] for call in piped.calls} == {"step"}
+
+
+@pytest.mark.parametrize("state", ["running", "building", "paused", "something new"])
+def test_the_driver_leaves_what_may_move(toy: Toy, served: Served, state: str) -> None:
+    with plain_browser(served):
+        toy._now(state=state)
+        until(lambda: served.page._rest._state == state, 5.0)
+    until(lambda: called(toy, "emergency_stop") == [("the driving browser was closed",)], 5.0)
+
+
+@pytest.mark.parametrize("asked_for", [(), ("start", "reset"), ("reset",), ("pause",)])
+def test_the_driver_leaves_what_stands(toy: Toy, served: Served, asked_for: tuple[str, ...]) -> None:
+    with plain_browser(served) as wire:
+        for name in asked_for:
+            put(wire, served, "start", name)
+        until(lambda: len(toy.calls) == len(asked_for) and served.page._errands.is_idle, 5.0)
+        toy._now(state="ready")
+        time.sleep(0.2)
+    until(lambda: not served.page.browsers(), 5.0)
+    time.sleep(0.1)
+    assert called(toy, "emergency_stop") == []
+
+
+@pytest.mark.parametrize("is_accepted", [True, False])
+def test_the_driver_leaves_just_after_the_start(piped: Piped, shown: Served, is_accepted: bool) -> None:
+    """The session still says that it is ready: it goes in a moment, or the start is still on its way to it."""
+    piped.start = lambda: piped.calls.append(("start",))
+    held = piped.pipe if not is_accepted else threading.Lock()
+    if not is_accepted:
+        piped.start = piped._through(piped.start)
+    with held:
+        with plain_browser(shown) as wire:
+            put(wire, shown, "reset", "reset")
+            put(wire, shown, "start", "start")
+            until(lambda: shown.page._errands._sent == 2, 5.0)
+            if is_accepted:
+                until(lambda: called(piped, "start"), 5.0)
+                time.sleep(0.3)
+        until(lambda: called(piped, "emergency_stop") == [("the driving browser was closed",)], 1.0)
+    until(lambda: shown.page._errands.is_idle, 5.0)
+    assert len(called(piped, "start")) == is_accepted
+
+
+def test_it_stands_for_certain_only_where_it_said_so_just_now(monkeypatch: pytest.MonkeyPatch) -> None:
+    rest = Rest()
+    assert not rest.is_certain
+    rest.see("ready")
+    assert rest.is_certain
+    with pytest.raises(BadInput):
+        rest.ask("start", lambda: _refuse())
+    rest.see("ready")
+    assert not rest.is_certain
+    with pytest.raises(BadInput):
+        rest.ask("change", lambda: _refuse())
+    assert not rest.is_certain
+    rest.ask("change", lambda: None)
+    assert rest.is_certain
+    monkeypatch.setattr(shared, "FRESH", 0.0)
+    assert not rest.is_certain
+
+
+def _refuse() -> None:
+    raise BadInput("start", "now", "a reset first")
+
+
+def test_errands_go_on_after_a_mistake_and_end(caplog: pytest.LogCaptureFixture) -> None:
+    errands, done = Errands(), list[object]()
+
+    def mistake(_: bool) -> None:
+        raise ZeroDivisionError("by nought")
+
+    errands.send(mistake)
+    errands.send(done.append)
+    until(lambda: errands.is_idle, 5.0)
+    errands.close()
+    assert done == [False]
+    assert "by nought" in caplog.text
+
+
+@pytest.mark.parametrize(
+    "updates",
+    [
+        {"removed": True},
+        {"update_cb": []},
+        {"sync_cb": None, "value": True},
+        {"is_button": False},
+        {"props": None},
+        {},
+    ],
+)
+def test_nobody_takes_the_stop_away(toy: Toy, served: Served, updates: dict[str, Any]) -> None:
+    with plain_browser(served) as driver, plain_browser(served) as watcher:
+        stop = control(served, "EMERGENCY STOP")._impl
+        before = (stop.removed, list(stop.update_cb), stop.sync_cb, stop.is_button, stop.props)
+        send(watcher, messages.GuiUpdateMessage(stop.uuid, updates))
+        # Its own line and button are its own, but not for more than that.
+        own = next(iter(served.page.browsers()[1].gui._gui_input_handle_from_uuid.values()))._impl
+        send(watcher, messages.GuiUpdateMessage(own.uuid, {"removed": True}))
+        time.sleep(0.2)
+        assert (stop.removed, list(stop.update_cb), stop.sync_cb, stop.is_button, stop.props) == before
+        assert not own.removed
+        put(driver, served, "EMERGENCY STOP")
+        until(lambda: called(toy, "emergency_stop") == [("browser 1",)], 5.0)
+
+
+def test_nobody_leaves_files_here(served: Served) -> None:
+    with plain_browser(served):
+        own = served.page.browsers()[0]._websock_connection
+        for interface in (served.page._server._websock_server, own):
+            assert messages.GuiUpdateMessage in interface._incoming_handlers
+            assert messages.FileTransferStartUpload not in interface._incoming_handlers
+            assert messages.FileTransferPart not in interface._incoming_handlers
+
+
+def test_a_page_that_hangs_stops(toy: Toy, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    monkeypatch.setattr(page, "LOOK_EVERY", 0.1)
+    monkeypatch.setattr(page, "PATIENCE", 1.0)
+    with serve(toy, port=0) as served:
+        time.sleep(1.5)
+        assert called(toy, "emergency_stop") == []
+        awake = threading.Event()
+        served.page._server._event_loop.call_soon_threadsafe(awake.wait, 20.0)
+        began = time.perf_counter()
+        until(lambda: called(toy, "emergency_stop"), 5.0)
+        assert time.perf_counter() - began < 3.0
+        time.sleep(1.5)
+        awake.set()
+        time.sleep(0.5)
+        assert called(toy, "emergency_stop") == [("the page, which hangs",)]
+    assert caplog.text.count("has not answered") == 1
+
+
+def test_a_bench_that_has_ended_is_told_and_not_asked_again(
+    toy: Toy, served: Served, caplog: pytest.LogCaptureFixture
+) -> None:
+    times: list[float] = []
+
+    def ended(*_: object) -> Any:
+        times.append(time.monotonic())
+        raise GelbotError("the bench has ended") from EOFError()
+
+    with plain_browser(served) as wire:
+        toy.moment = toy.emergency_stop = ended  # pyright: ignore[reportAttributeAccessIssue]
+        until(lambda: "the bench has ended" in served.page._status.content, 5.0)
+        time.sleep(0.5)
+        assert len(times) == 1
+        with caplog.at_level(logging.WARNING):
+            put(wire, served, "EMERGENCY STOP")
+            until(lambda: len(times) == 2, 5.0)
+    until(lambda: len(times) == 3, 5.0)  # the driver has gone, and the session cannot say that it stands
+    until(lambda: caplog.text.count("the bench has ended") == 2, 5.0)
+    assert "Traceback" not in caplog.text
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError("by nought"), GelbotError("a mistake in the program")])
+def test_a_mistake_in_a_picture_is_told_once_and_the_page_goes_on(
+    toy: Toy, served: Served, caplog: pytest.LogCaptureFixture, error: Exception
+) -> None:
+    plain, times = toy.moment, list[float]()
+
+    def mistaken() -> Any:
+        times.append(time.monotonic())
+        raise error
+
+    toy.moment = mistaken
+    time.sleep(1.5)
+    assert 2 <= len(times) <= 5
+    assert caplog.text.count("could not be shown") == 1
+    toy.moment = plain
+    with plain_browser(served):
+        until(lambda: "gelbot-state" in served.page._status.content, 5.0)
+
+
+def test_the_last_one_who_leaves_a_free_seat_counts_as_the_driver() -> None:
+    seat = Seat()
+    for browser in (0, 1):
+        seat.arrive(browser)
+    assert seat.hand_over(0)
+    assert not seat.leave(0)
+    assert not seat.leave(7)
+    assert seat.leave(1)
+    assert not seat.leave(1)
+    seat.arrive(2)
+    assert seat.driver == 2
 
 
 def test_the_first_drives_and_the_others_watch() -> None:

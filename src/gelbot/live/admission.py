@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 from html import escape
 from http import HTTPStatus
-from urllib.parse import parse_qsl, urlencode, urlsplit
+from urllib.parse import SplitResult, parse_qsl, urlencode, urlsplit
 
 from gelbot.errors import BadInput
 
@@ -98,6 +98,10 @@ class Admission:
 
     def judge(self, head: Head) -> Answer | None:
         """What is answered to a request, None: it may come in."""
+        try:
+            url = urlsplit(head.path)
+        except ValueError:  # "//[x"
+            return _bad("Its address cannot be read.")
         host = head.headers.get("host", "")
         if self.local and host not in {f"{name}:{self.port}" for name in LOOPBACK} | self._bare():
             return _page(HTTPStatus.FORBIDDEN, f"Open this page as http://localhost:{self.port}/.")
@@ -111,13 +115,12 @@ class Admission:
             return _page(HTTPStatus.FORBIDDEN, "This page may not be shown inside another one.")
         if self.token is None:
             return None
-        return self._check_token(head)
+        return self._check_token(head, url)
 
     def _bare(self) -> set[str]:
         return set(LOOPBACK) if self.port == 80 else set()
 
-    def _check_token(self, head: Head) -> Answer | None:
-        url = urlsplit(head.path)
+    def _check_token(self, head: Head, url: SplitResult) -> Answer | None:
         query = parse_qsl(url.query, keep_blank_values=True)
         given = [value for key, value in query if key == "token"]
         if given and self._is_right(given[-1]):

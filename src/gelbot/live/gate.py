@@ -20,9 +20,13 @@ from gelbot.live.admission import Admission, Answer, read_head
 
 MOST_HEAD = 16 * 1024
 """Bytes of a request's head."""
-PATIENCE = 5.0
+PATIENCE = 3.0
 """Seconds in which a head must have come."""
 MOST_CONNECTIONS = 100
+"""That were let in, at the same time."""
+MOST_WAITING = 32
+"""That were not let in yet. One more sends the one away that waits longest, so that nobody who has something to ask is
+kept out by those who only hold the line; the places of those who were let in are not theirs."""
 PAUSE = 0.3
 """Seconds before a refusal of a token: who guesses is slow."""
 CHUNK = 256 * 1024
@@ -43,6 +47,9 @@ class Gate:
         self._loop = asyncio.new_event_loop()
         self._done = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
+        # In the order in which they came.
+        self._waiting: dict[asyncio.Task[None], None] = {}
+        self._admitted = 0
         started: Future[None] = Future()
         self._thread = threading.Thread(target=self._run, args=(started,), name="gelbot gate", daemon=True)
         self._thread.start()
@@ -75,24 +82,48 @@ class Gate:
         assert task is not None
         self._tasks.add(task)
         try:
-            if len(self._tasks) <= MOST_CONNECTIONS:
-                await self._pass_on(reader, writer)
+            raw = await self._admit(task, reader, writer)
+            if raw is not None:
+                self._admitted += 1
+                try:
+                    await self._pass_on(raw, reader, writer)
+                finally:
+                    self._admitted -= 1
         except (OSError, asyncio.CancelledError):
-            pass  # it went away, or the door closes
+            pass  # it went away, another one needs its place, or the door closes
         finally:
             await _shut(writer)
             self._tasks.discard(task)
 
-    async def _pass_on(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _admit(
+        self, task: asyncio.Task[None], reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> bytes | None:
+        """The head of a request that may come in; others are answered here, and None."""
+        if len(self._waiting) >= MOST_WAITING:
+            longest = next(iter(self._waiting))
+            del self._waiting[longest]
+            longest.cancel()
+        self._waiting[task] = None
+        try:
+            return await self._ask(reader, writer)
+        finally:
+            self._waiting.pop(task, None)
+
+    async def _ask(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> bytes | None:
         raw = await _head(reader)
         answer = raw if isinstance(raw, Answer) else self._judge(raw)
+        if answer is None and self._admitted >= MOST_CONNECTIONS:
+            answer = Answer(HTTPStatus.SERVICE_UNAVAILABLE, "Too many browsers look at this page.\n")
         if answer is not None:
             if answer.status == HTTPStatus.FORBIDDEN:
                 await asyncio.sleep(PAUSE)
             writer.write(answer.wire())
             await asyncio.wait_for(writer.drain(), PATIENCE)
-            return
+            return None
         assert isinstance(raw, bytes)
+        return raw
+
+    async def _pass_on(self, raw: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         inside, outside = await asyncio.open_connection("127.0.0.1", self._inner_port)
         try:
             first, rest = raw.split(b"\r\n", 1)

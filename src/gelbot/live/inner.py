@@ -15,6 +15,7 @@ from typing import Any
 import viser
 import websockets.asyncio.server
 from viser import _messages as messages
+from viser.infra._infra import WebsockMessageHandler
 from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
@@ -29,6 +30,13 @@ POLICY = (
 )
 """The page may load nothing from anywhere else, and may not be shown inside another page."""
 
+FORBIDDEN = (
+    messages.ShareUrlRequest,
+    messages.ShareUrlDisconnect,
+    messages.FileTransferStartUpload,
+    messages.FileTransferPart,
+)
+
 _starting = threading.Lock()
 
 
@@ -40,7 +48,10 @@ class Inner:
         with _starting, _guarded(self.secret[1]), _quiet():
             self.server = viser.ViserServer("127.0.0.1", 0, label=label, verbose=False)
         self.port = self.server.get_port()
-        self._forbid_sharing()
+        interface = self.server._websock_server
+        _forbid(interface)
+        # Each browser has handlers of its own too; they are there when this is called, and nothing has come yet.
+        interface.on_client_connect(_forbid)
 
     def stop(self) -> None:
         """Stop it; its threads have ended then."""
@@ -48,11 +59,25 @@ class Inner:
             self.server.stop()
         self.server._thread_executor.shutdown(wait=True)
 
-    def _forbid_sharing(self) -> None:
-        """Any browser could ask viser to open a tunnel to the internet, past the door. Not here."""
-        handlers = self.server._websock_server._incoming_handlers
-        for message in (messages.ShareUrlRequest, messages.ShareUrlDisconnect):
-            handlers.pop(message, None)
+
+def _forbid(interface: WebsockMessageHandler) -> None:
+    """What any browser could ask of viser, a watcher too, and shall not.
+
+    A tunnel to the internet, past the door; files that nobody wants; and any property of any control, such as that it
+    is removed or what it does: the emergency stop's for all browsers. A browser has values to send, nothing else.
+    """
+    handlers = interface._incoming_handlers
+    for message in FORBIDDEN:
+        handlers.pop(message, None)
+    handlers[messages.GuiUpdateMessage] = [_values_only(one) for one in handlers.get(messages.GuiUpdateMessage, [])]
+
+
+def _values_only(handler: Callable[..., Any]) -> Callable[..., Any]:
+    async def handle(client: int, message: messages.GuiUpdateMessage) -> None:
+        if isinstance(message.updates, dict) and set(message.updates) == {"value"}:
+            await handler(client, message)
+
+    return handle
 
 
 @contextlib.contextmanager

@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from contextlib import suppress
+from functools import partial
 from html import escape
 
 import numpy as np
@@ -12,6 +14,7 @@ import viser
 from numpy.typing import NDArray
 from viser import _messages as messages
 
+from gelbot.errors import GelbotError
 from gelbot.live import look
 from gelbot.live.actions import Actions
 from gelbot.live.hand import Hand
@@ -21,7 +24,7 @@ from gelbot.live.plots import Plots
 from gelbot.live.scene import Scene, on_each
 from gelbot.live.seat import Seat
 from gelbot.live.seats import Seats
-from gelbot.live.shared import Permit
+from gelbot.live.shared import Errands, Permit, Rest
 from gelbot.live.view import FIELD_OF_VIEW, MM, on_screen, view
 
 _log = logging.getLogger(__name__)
@@ -30,6 +33,11 @@ RATE = 30.0
 """Pictures a second."""
 SLOW = {"picture": 3, "status": 6, "plots": 8}
 """Every how many pictures the rest is sent."""
+AGAIN = 1.0
+"""Seconds before another try, after a picture that could not be shown."""
+LOOK_EVERY, PATIENCE = 1.0, 3.0
+"""Seconds between looks whether the server's own thread, which hears the stop, still answers, and how long it may take
+to."""
 LEFT, RIGHT = 280.0, 310.0
 """Widths of the panels [px]."""
 
@@ -40,25 +48,36 @@ class Page:
     def __init__(self, server: viser.ViserServer, actions: Actions) -> None:
         self._server, self._actions = server, actions
         self.seat = Seat()
-        self._permit = Permit(self.seat)
+        self._errands, self._rest = Errands(), Rest()
+        self._permit = Permit(self.seat, self._errands)
         self.pictures = 0
         """Pictures sent so far: those in which something had moved."""
         self._closing = False
-        self._build_frame()
-        self._seats = Seats(self.seat)
-        self._stage: Stage = actions.stage()
-        self._compose()
+        try:
+            self._build_frame()
+            self._seats = Seats(self.seat)
+            self._stage: Stage = actions.stage()
+            self._compose()
+        except BaseException:
+            self._errands.close()
+            raise
         server.on_client_connect(self._come)
         server.on_client_disconnect(self._go)
         self._done = threading.Event()
-        self._thread = threading.Thread(target=self._loop, name="gelbot page", daemon=True)
-        self._thread.start()
+        self._threads = [
+            threading.Thread(target=what, name=name, daemon=True)
+            for name, what in (("gelbot page", self._loop), ("gelbot page watch", self._watch))
+        ]
+        for thread in self._threads:
+            thread.start()
 
     def close(self) -> None:
         """Show nothing more. A session that runs goes on: whoever closes the page on purpose stops it on purpose."""
         self._closing = True
         self._done.set()
-        self._thread.join()
+        for thread in self._threads:
+            thread.join()
+        self._errands.close()
 
     def browsers(self) -> dict[int, viser.ClientHandle]:
         """Who is there, by number."""
@@ -105,7 +124,7 @@ class Page:
         on_each(self._scene.electrodes, self._click)
         self._scene.reference.handle.on_update(self._drag)
         self._hand = Hand(self._actions)
-        self._panel = Panel(self._server.gui, self._permit, self._actions, self._hand, self._look)
+        self._panel = Panel(self._server.gui, self._permit, self._actions, self._hand, self._rest, self._look)
         with self._tab:
             self._plots = Plots(self._server.gui, self._stage)
         first = view(self._stage, "body")
@@ -123,18 +142,49 @@ class Page:
                 self._look(client, "body")
 
     def _loop(self) -> None:
-        due, number = time.perf_counter(), 0
+        due, number, complained = time.perf_counter(), 0, ""
         shown: Moment | None = None
         while not self._done.is_set():
             try:
                 shown = self._picture(number, shown)
             except Exception as error:
                 # Whatever it is: the page goes on, and says so. The loop does not know of it.
-                _log.exception("a picture could not be shown")
-                self._status.content = f'<div class="gelbot-error">{escape(repr(error))}</div>'
+                self._rest.see("")
+                text = str(error) if isinstance(error, GelbotError) else repr(error)
+                self._status.content = f'<div class="gelbot-error">{escape(text)}</div>'
+                if isinstance(error.__cause__, EOFError | OSError):
+                    # The other end of the pipe is closed: nobody will answer any more.
+                    return
+                if text == complained:
+                    self._done.wait(AGAIN)
+                else:
+                    is_told = isinstance(error, GelbotError)
+                    _log.error("a picture could not be shown: %s", text, exc_info=None if is_told else error)
+                complained = text
             number += 1
             due = max(due + 1.0 / RATE, time.perf_counter() - 1.0 / RATE)
             self._done.wait(max(0.0, due - time.perf_counter()))
+
+    def _watch(self) -> None:
+        """Whoever looks at a page that hangs could press its button for nothing: then this thread does it.
+
+        It is not the one that makes the pictures, which may have to wait for the session.
+        """
+        loop = self._server._event_loop
+        heard, has_stopped = threading.Event(), False
+        asked = time.monotonic()
+        heard.set()
+        while not self._done.wait(LOOK_EVERY):
+            if heard.is_set():
+                has_stopped = False
+                heard.clear()
+                asked = time.monotonic()
+                with suppress(RuntimeError):  # the server has ended
+                    loop.call_soon_threadsafe(heard.set)
+            elif not has_stopped and time.monotonic() - asked >= PATIENCE:
+                has_stopped = True
+                _log.error("the page has not answered for %.0f s: emergency stop", PATIENCE)
+                self._stop("the page, which hangs")
 
     def _picture(self, number: int, shown: Moment | None) -> Moment:
         stage = self._actions.stage()
@@ -142,6 +192,7 @@ class Page:
             with self._server.atomic():
                 self._recompose(stage)
         moment = self._actions.moment()
+        self._rest.see(moment.state)
         if len(moment.given) == len(self._stage.outlines) and moment.positions.shape == self._stage.rest.shape:
             self._show(moment, number, moment is not shown)
         # Otherwise it is of a stage that comes or goes just now.
@@ -172,36 +223,41 @@ class Page:
     async def _go(self, client: viser.ClientHandle) -> None:
         # The volts first, then the rest.
         drove = self.seat.leave(client.client_id)
-        if drove and not self._closing and self._may_run():
-            self._actions.emergency_stop("the driving browser was closed")
+        if drove:
+            # What it asked for and was not done yet can still be a start.
+            stands = self._errands.is_idle and self._rest.is_certain
+            if not self._closing and not stands:
+                self._stop("the driving browser was closed")
         self._permit.forget(client.client_id)
         self._seats.take_from(client)
 
-    def _may_run(self) -> bool:
-        """Whether the session runs, or cannot say that it does not."""
-        try:
-            return self._actions.moment().state == "running"
-        except Exception:
-            return True
-
+    # In the server's own thread, which is kept free for it: nothing that was asked of the session stands before it.
     async def _stop_pressed(self, event: viser.GuiEvent | viser.CommandEvent) -> None:
         if event.client_id is not None:
-            self._actions.emergency_stop(f"browser {event.client_id + 1}")
+            self._stop(f"browser {event.client_id + 1}")
+
+    def _stop(self, who: str) -> None:
+        """The emergency stop. A reset and a start that were asked for before it and still wait are dropped."""
+        self._errands.drop()
+        try:
+            self._actions.emergency_stop(who)
+        except GelbotError as error:
+            _log.warning("no stop, by %s: %s", who, error)
 
     def _click(self, electrode: int, client: viser.ClientHandle) -> None:
         """The brush's volts on a plate that was clicked, none on one that has them."""
-        self._permit.do(client, lambda: self._hand.toggle(electrode, self._panel.brush.value))
+        self._permit.do(client, partial(self._hand.toggle, electrode, self._panel.brush.value))
 
     async def _paint_inside(self, event: viser.SceneRectSelectEvent) -> None:
         """The brush's volts on all plates whose middle lies in the rectangle."""
         places = self.places(event.client)
         low, high = np.array(event.screen_min)[:, None], np.array(event.screen_max)[:, None]
         inside = np.flatnonzero(np.all((places >= low) & (places <= high), axis=0)).tolist()
-        self._permit.do(event.client, lambda: self._hand.put(inside, self._panel.brush.value))
+        self._permit.do(event.client, partial(self._hand.put, inside, self._panel.brush.value))
 
     async def _drag(self, event: viser.TransformControlsEvent) -> None:
         """The reference is dragged by its handle."""
-        reference, client = self._scene.reference, event.client
+        reference, shown, client = self._scene.reference, self._panel.reference, event.client
         if client is None:
             return
         height = round(max(0.0, float(event.target.position[2])), 2)
@@ -209,10 +265,15 @@ class Page:
         reference.dragged = moves
         if event.phase == "start":
             return
-        if event.phase == "end" or not self._permit.do(client, lambda: self._actions.set_reference(height / MM)):
+        if event.phase == "end":
             reference.stand()
-        else:
-            self._panel.reference.put(height)
+            return
+        self._permit.do(
+            client,
+            partial(self._actions.set_reference, height / MM),
+            done=partial(shown.put, height),
+            undone=reference.stand,
+        )
 
     def _look(self, client: viser.ClientHandle, name: str) -> None:
         seen = view(self._stage, name, client.camera.aspect)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from html import escape
 from typing import Any
 
@@ -12,7 +13,7 @@ from gelbot.live.actions import Actions
 from gelbot.live.hand import Hand
 from gelbot.live.moment import Moment
 from gelbot.live.scene import BESIDE, HIDDEN, OVERLAID
-from gelbot.live.shared import Permit, Shared, on_press
+from gelbot.live.shared import Permit, Rest, Shared, on_press
 from gelbot.live.view import MM, VIEWS
 
 PACES: dict[str, float | None] = {"1x": 1.0, "2x": 2.0, "4x": 4.0, "fastest": None}
@@ -21,7 +22,10 @@ RUN = ("start", "pause", "step", "reset")
 
 
 class Panel:
-    """The controls of one stage. What they do is done by `actions`; `look` is told a browser and a view's name."""
+    """The controls of one stage. What they do is done by `actions`, and `rest` knows of it.
+
+    `look` is told a browser and a view's name.
+    """
 
     def __init__(
         self,
@@ -29,9 +33,11 @@ class Panel:
         permit: Permit,
         actions: Actions,
         hand: Hand,
+        rest: Rest,
         look: Callable[[viser.ClientHandle, str], None],
     ) -> None:
         self._gui, self._permit, self._actions, self._hand, self._look = gui, permit, actions, hand, look
+        self._rest = rest
         self.stage = actions.stage()
         self._parts: list[Any] = []
         self._error: viser.GuiHtmlHandle | None = None
@@ -65,8 +71,10 @@ class Panel:
         buttons = self._keep(gui.add_button_group("", RUN))
 
         async def pressed(event: Any) -> None:
-            if event.client is not None:
-                self._permit.do(event.client, getattr(actions, event.target.value))
+            # A browser may send any text as the button that was pressed.
+            name = event.target.value
+            if event.client is not None and name in RUN:
+                self._permit.do(event.client, lambda: self._rest.ask(name, getattr(actions, name)))
 
         buttons.on_click(pressed)
         controllers = self.stage.controllers
@@ -85,7 +93,7 @@ class Panel:
         self.record: Shared[bool] = Shared(self._permit, record, actions.record)
 
     def _by_hand(self) -> None:
-        gui, limit = self._gui, self.stage.limit
+        gui, hand, limit = self._gui, self._hand, self.stage.limit
         with self._keep(gui.add_folder("volts by hand")):
             words = "Click a plate: the brush. Again: zero. Shift and drag: all plates inside."
             gui.add_html(f'<div class="gelbot-hint">{words}</div>')
@@ -95,8 +103,8 @@ class Panel:
                 pattern = gui.add_dropdown("pattern", self.stage.patterns)
                 self.pattern: Shared[str] = Shared(self._permit, pattern)
                 put = gui.add_button("set pattern at the brush's volts", color="gray")
-                on_press(self._permit, put, lambda: self._hand.pattern(self.pattern.value, self.brush.value))
-            on_press(self._permit, gui.add_button("all zero", color="gray"), self._all_zero)
+                on_press(self._permit, put, lambda: partial(hand.pattern, self.pattern.value, self.brush.value))
+            on_press(self._permit, gui.add_button("all zero", color="gray"), lambda: self._all_zero)
 
     def _all_zero(self) -> None:
         self._hand.put(range(len(self.stage.outlines)), 0.0)
@@ -108,7 +116,7 @@ class Panel:
             height = gui.add_number("height, mm", 0.0, min=0.0, step=0.1, hint=hint)
             self.reference: Shared[float] = Shared(self._permit, height, lambda h: actions.set_reference(h / MM))
             programme = gui.add_button("as in the programme", color="gray")
-            on_press(self._permit, programme, lambda: actions.set_reference(None))
+            on_press(self._permit, programme, lambda: partial(actions.set_reference, None))
 
     def _show(self) -> None:
         gui = self._gui
@@ -117,7 +125,7 @@ class Panel:
 
             async def look(event: Any) -> None:
                 # Where one looks from is everybody's own.
-                if event.client is not None:
+                if event.client is not None and event.target.value in VIEWS:
                     self._look(event.client, event.target.value)
 
             views.on_click(look)
@@ -133,7 +141,9 @@ class Panel:
             names.insert(0, self.stage.name)
         with self._keep(gui.add_folder("scenario", expand_by_default=False)):
             scenario = gui.add_dropdown("scenario", names, initial_value=self.stage.name)
-            self.scenario: Shared[str] = Shared(self._permit, scenario, actions.choose, slow=True)
+            self.scenario: Shared[str] = Shared(
+                self._permit, scenario, lambda name: self._rest.ask("choose", partial(actions.choose, name))
+            )
             gui.add_html(f'<div class="gelbot-hint">{escape(" ".join(self.stage.description.split()))}</div>')
 
     def _settings(self) -> None:
@@ -146,23 +156,19 @@ class Panel:
             }
             self._error = gui.add_html("", visible=False)
             build = gui.add_button("build", color="gray", hint="Nothing changes before. Begins anew")
+            on_press(self._permit, build, self._written)
 
-            # No coroutine: it is checked by a thread beside the server's, which must hear a stop meanwhile.
-            def pressed(event: Any) -> None:
-                if event.client is not None:
-                    self._permit.do(event.client, self._build)
-
-            build.on_click(pressed)
-
-    def _build(self) -> None:
-        """Ask for what was written, if it was: one line says what is wrong with it, if something is."""
-        assert self._error is not None
+    def _written(self) -> Callable[[], None] | None:
+        """What asks for that which was written, None: nothing was."""
         written = {key: text.value.strip() for key, text in self._texts.items()}
         changes = {key: text for key, text in written.items() if text != self.stage.settings[key]}
-        if not changes:
-            return
+        return partial(self._build, changes) if changes else None
+
+    def _build(self, changes: dict[str, str]) -> None:
+        """Ask for these changes: one line says what is wrong with them, if something is."""
+        assert self._error is not None
         try:
-            self._actions.change(changes)
+            self._rest.ask("change", partial(self._actions.change, changes))
         except Exception as error:
             self._error.content = f'<div class="gelbot-error">{escape(str(error))}</div>'
             self._error.visible = True

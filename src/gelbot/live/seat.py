@@ -27,13 +27,17 @@ class Seat:
                 self._driver = browser
 
     def leave(self, browser: int) -> bool:
-        """A browser goes. Returns whether it drove; the seat is free then."""
+        """A browser goes. Returns whether it drove; the seat is free then.
+
+        Where it was handed over and nobody took it, the last one who goes counts as the driver.
+        """
         with self._lock:
+            was_there, was_for_all = browser in self._there, self._free_for_all
             self._there.discard(browser)
             if not self._there:
                 self._free_for_all = False
             if self._driver != browser:
-                return False
+                return was_there and was_for_all and not self._there
             self._driver = None
             return True
 
