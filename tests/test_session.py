@@ -36,6 +36,9 @@ from gelbot.record.log import open_log
 
 pytestmark = pytest.mark.slow
 COARSE = ["body.mesh_size=1.8 mm"]
+PERIOD = "500 ms"
+UNHURRIED = [*COARSE, f"programme.control_period={PERIOD}", f"recording.interval={PERIOD}", "recording.chunk=1 s"]
+"""A loop that a busy machine does not hold up for too long."""
 
 
 def wait(until, seconds: float = 60.0) -> None:
@@ -47,7 +50,7 @@ def wait(until, seconds: float = 60.0) -> None:
 
 @pytest.fixture
 def session(tmp_path):
-    made = Session(SimulatedSetup(), Source("turn-over"), tmp_path / "live", COARSE)
+    made = Session(SimulatedSetup(), Source("turn-over"), tmp_path / "live", UNHURRIED)
     yield made
     made.close()
 
@@ -113,7 +116,7 @@ def test_the_bench_keeps_its_own_limits(tmp_path):
         SimulatedSetup(),
         Source("turn-over"),
         tmp_path / "live",
-        [*COARSE, "supply.limit=10 V", "supply.current_limit=0.1 A"],
+        [*UNHURRIED, "supply.limit=10 V", "supply.current_limit=0.1 A"],
     )
     try:
         for name in ("dome", "turn-over"):
@@ -140,8 +143,6 @@ def test_what_cannot_be_built_leaves_what_stood(tmp_path):
         wait(lambda: "overlaps neither walls nor obstacles" in session.moment().message)
         assert session.moment().state == "ready"
         assert session.stage().settings == stage.settings
-        session.start()
-        wait(lambda: session.moment().number > 2)
     finally:
         session.close()
 

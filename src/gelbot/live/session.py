@@ -86,6 +86,7 @@ class Session:
         self._took, self._late = deque[float](maxlen=REMEMBERED), 0
         self._last: Tick | None = None
         self._ticks: Iterator[Tick] | None = None
+        self._turned = 0.0
         self._single = self._closing = self._is_changing = False
         # What was stopped stays stopped, whatever was asked for before and is done later: a start counts the stops.
         self._stops, self._stopped_by, self._has_ended = 0, "", False
@@ -322,6 +323,7 @@ class Session:
                 self._ticks = drive(
                     self.setup.plant, self._helm, self.setup.clock, period, busy=self._wall, begun=self._time
                 )
+            self._turned = self.setup.clock.now()
             self._after(next(self._ticks))
         except BenchStopped as stop:
             self._halt(STOPPED, stop.reason)
@@ -353,7 +355,13 @@ class Session:
         self.setup.kept_up(tick.missed)
         if self.setup.guard.reason is not None:
             self._halt(STOPPED, self.setup.guard.reason)
+        elif self.setup.is_over:
+            self._halt(PAUSED, "the recording has ended")
         elif self._single:
+            # To the end of the period: a step is what its voltages did.
+            self.setup.clock.wait_until(self._turned + period)
+            self.setup.plant.observe()
+            twin.advance(self.setup.clock.now())
             self._halt(PAUSED, "")
 
     def _halt(self, state: str, message: str) -> None:

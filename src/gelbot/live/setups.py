@@ -85,6 +85,11 @@ class Setup(Protocol):
         """Seconds of a simulated gel to one of the wall clock; None: as fast as it goes."""
         ...
 
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing more will come of it."""
+        ...
+
     def first_sight(self) -> Observation:
         """What is seen at the beginning."""
         ...
@@ -110,14 +115,49 @@ class OpenEye(Eye, Protocol):
         ...
 
 
-class SimulatedSetup:
+class _Paced:
+    """What setups have in common whose gel is not real: their time may stand still, and go faster than the wall's."""
+
+    is_over = False
+
+    guard: Guard
+    plant: Plant
+
+    def __init__(self, pace: float | None) -> None:
+        self._wall = WallClock()
+        self.clock = PacedClock(self._wall, pace, running=False)
+        self.guard = _nobody(self._wall)
+
+    @property
+    def pace(self) -> float | None:
+        """How fast it goes."""
+        return self.clock.pace
+
+    def set_pace(self, pace: float | None) -> None:
+        """How fast it goes."""
+        self.clock.set_pace(pace)
+
+    def go(self) -> None:
+        """Let it go on."""
+        self.guard.arm()
+        self.clock.go()
+
+    def stand(self) -> None:
+        """Zero volts; it stands still."""
+        self.guard.rest()
+        self.clock.stop()
+
+    def first_sight(self) -> Observation:
+        """What is seen of it now."""
+        return self.plant.observe().observation
+
+
+class SimulatedSetup(_Paced):
     """A simulated gel, which may differ from what its controllers know; seen with noise, or in rendered pictures."""
 
     def __init__(self, pace: float | None = 1.0, seed: int = 0) -> None:
-        self.words = "simulated gel"
-        self._wall, self._seed = WallClock(), seed
-        self.clock = PacedClock(self._wall, pace, running=False)
-        self.guard, self.plant = _nobody(self._wall), _Nothing()
+        super().__init__(pace)
+        self.words, self._seed, self.plant = "simulated gel", seed, _Nothing()
         self.inside: Simulated | None = None
         self._camera: CameraEye | None = None
 
@@ -142,33 +182,10 @@ class SimulatedSetup:
         self._camera = rendered_eye(ready, gel, self.clock, tell, self._seed)
         return self._camera
 
-    def go(self) -> None:
-        """Let it go on."""
-        self.guard.arm()
-        self.clock.go()
-
-    def stand(self) -> None:
-        """Zero volts; it stands still."""
-        self.guard.rest()
-        self.clock.stop()
-
     def kept_up(self, missed: int) -> None:
         """A simulation that cannot keep up takes its time."""
         if missed and self.inside is not None:
             self.clock.set_back(self.inside.gel.time)
-
-    @property
-    def pace(self) -> float | None:
-        """How fast it goes."""
-        return self.clock.pace
-
-    def set_pace(self, pace: float | None) -> None:
-        """How fast it goes."""
-        self.clock.set_pace(pace)
-
-    def first_sight(self) -> Observation:
-        """What is seen of it now."""
-        return self.plant.observe().observation
 
     def picture(self) -> NDArray[np.uint8] | None:
         """The newest rendered one, if they are."""
@@ -185,7 +202,7 @@ class BenchSetup:
     """A real supply and a real eye, at the pace of the world: `open_supply` and `open_eye` make them for a scenario,
     each time it begins."""
 
-    pace = 1.0
+    pace, is_over = 1.0, False
 
     def __init__(
         self,
@@ -250,17 +267,15 @@ class BenchSetup:
             self._eye = None
 
 
-class PlayedSetup:
+class PlayedSetup(_Paced):
     """A recorded run or log. Voltages do nothing; its guard has nothing to guard, but stops it like any other."""
 
     has_camera = False
 
     def __init__(self, path: Path, pace: float | None = 1.0) -> None:
-        self.words = f"recording {path}"
-        self._recording, self._wall = recording(path), WallClock()
-        self.clock = PacedClock(self._wall, pace, running=False)
-        self.guard = _nobody(self._wall)
-        self.plant = PlayedPlant(self._recording, self.clock)
+        super().__init__(pace)
+        self.words, self._recording = f"recording {path}", recording(path)
+        self.plant = self._played = PlayedPlant(self._recording, self.clock)
         self.scenario_text = str(self._recording.attrs.get("scenario", ""))
 
     def begin(self, ready: Ready, tell: Tell) -> None:
@@ -271,33 +286,15 @@ class PlayedSetup:
         self.guard.close()
         self.guard = _nobody(self._wall, tell)
         self.guard.watch()
-        self.plant = PlayedPlant(self._recording, self.clock)
-
-    def go(self) -> None:
-        """Play."""
-        self.guard.arm()
-        self.clock.go()
-
-    def stand(self) -> None:
-        """Stand still."""
-        self.guard.rest()
-        self.clock.stop()
+        self.plant = self._played = PlayedPlant(self._recording, self.clock)
 
     def kept_up(self, missed: int) -> None:
         """It always does."""
 
     @property
-    def pace(self) -> float | None:
-        """How fast it is played."""
-        return self.clock.pace
-
-    def set_pace(self, pace: float | None) -> None:
-        """How fast it is played."""
-        self.clock.set_pace(pace)
-
-    def first_sight(self) -> Observation:
-        """What was seen first."""
-        return self.plant.observe().observation
+    def is_over(self) -> bool:
+        """Whether all of it was played."""
+        return self._played.over
 
     def picture(self) -> NDArray[np.uint8] | None:
         """It kept none."""
