@@ -307,7 +307,7 @@ def test_a_log_is_played_as_a_plant(tmp_path):
 def turned_over(seconds_over: float, bench: Simulated, programme: object, duration: float) -> tuple[bool, list[object]]:
     """Whether the gel lies on its back during the last `seconds_over`, and the ticks."""
     bench.plant.guard.arm()
-    clock, since, ticks = bench.plant._clock, np.inf, []
+    clock, since, ticks = bench.plant.clock, np.inf, []
     for tick in drive(bench.plant, Programmed(programme), clock, 0.1, duration):
         ticks.append(tick)
         over = float(bench.gel.seen.normal[2]) < -0.8
