@@ -167,14 +167,13 @@ def pictures() -> Rows:
 
 def closing() -> Rows:
     """From the moment in which the driver's tab is told to close to zero volts: the longest of a few."""
-    from browser import open_page, launch  # pyright: ignore[reportMissingImports]  # isort: skip
-    from playwright.sync_api import sync_playwright
+    from browser import launch, open_page, playwright_behind  # pyright: ignore[reportMissingImports]  # isort: skip
 
     from gelbot.live.serve import serve
     from toy import Toy  # pyright: ignore[reportMissingImports]
 
     took = []
-    with sync_playwright() as playwright, Toy(busy, keep_running=True) as toy, serve(toy, port=0) as served:
+    with playwright_behind() as playwright, Toy(busy, keep_running=True) as toy, serve(toy, port=0) as served:
         browser = launch(playwright)
         for _ in range(CLOSINGS):
             toy.reset()

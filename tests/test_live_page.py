@@ -15,12 +15,12 @@ import msgspec
 import numpy as np
 import pytest
 import viser
-from playwright.sync_api import Browser, Locator, Page, sync_playwright
+from playwright.sync_api import Browser, Locator, Page
 from viser import _messages as messages
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
-from browser import CANVAS, NO_BROWSER, click_electrode, electrode_on_page, launch, open_page, until
+from browser import CANVAS, NO_BROWSER, click_electrode, electrode_on_page, launch, open_page, playwright_behind, until
 from gelbot.errors import BadInput, GelbotError
 from gelbot.live import colours, page, shared
 from gelbot.live.between import Between
@@ -39,7 +39,7 @@ ELECTRODE = 15
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
+    with playwright_behind() as playwright:
         started = launch(playwright)
         yield started
         started.close()

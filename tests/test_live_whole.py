@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page
 
-from browser import CANVAS, NO_BROWSER, click_electrode, launch, open_page, until
+from browser import CANVAS, NO_BROWSER, click_electrode, launch, open_page, playwright_behind, until
 from gelbot.live.ready import Source
 from gelbot.live.serve import Served, serve
 from gelbot.live.session import Session
@@ -35,7 +35,7 @@ UNHURRIED = [
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
+    with playwright_behind() as playwright:
         started = launch(playwright)
         yield started
         started.close()
@@ -116,12 +116,30 @@ def test_another_scenario_and_another_body(browser, tmp_path):
 @pytest.mark.parametrize("ends", ["browser", "program"])
 def test_the_command_itself(browser, tmp_path, ends):
     """The page in its own process: the driving browser is closed, or the program is ended, while the gel moves."""
-    command = [sys.executable, "-m", "gelbot.cli", "live", "turn-over", "--no-browser", "--port", "0", "--out", "live"]
+    for attempt in range(3):
+        folder = tmp_path / str(attempt)
+        folder.mkdir()
+        said = command(browser, folder, ends)
+        log = open_log(folder / "live" / "bench.log")
+        texts = [event.text for event in log.attrs["events"]]
+        # On a machine that is too busy for the loop the guard stops it first, as it should: then nothing is shown here.
+        if not any("has been silent" in text for text in texts):
+            break
+    else:
+        pytest.fail("the machine was busy three times")
+    assert "ended, all electrodes at zero volts; what was kept is in live" in said
+    assert "Traceback" not in said
+    assert log.sizes["time"] > 2
+    says = "the driving browser was closed" if ends == "browser" else "the program was ended"
+    assert any(says in text for text in texts), texts
+
+
+def command(browser: Browser, folder: Path, ends: str) -> str:
+    """Run it in `folder` until it is ended; what it said."""
+    words = [sys.executable, "-m", "gelbot.cli", "live", "turn-over", "--no-browser", "--port", "0", "--out", "live"]
     for change in UNHURRIED:
-        command += ["--set", change]
-    with subprocess.Popen(
-        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    ) as program:
+        words += ["--set", change]
+    with subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as program:
         try:
             assert program.stdout is not None
             said = [program.stdout.readline() for _ in range(3)]
@@ -129,27 +147,24 @@ def test_the_command_itself(browser, tmp_path, ends):
             assert url.startswith("http://127.0.0.1:"), said
             page = open_page(browser, url)
             press(page, "start")
-            page.get_by_text("running", exact=True).first.wait_for()
-            page.wait_for_timeout(2000)
+            wait_for_event(folder, "started")
+            page.wait_for_timeout(2500)
             if ends == "browser":
                 page.close()
-                wait_for_event(tmp_path, "the driving browser was closed")
+                wait_for_event(folder, "stopped")
             os.kill(program.pid, signal.SIGINT)
             rest = program.communicate(timeout=30.0)[0]
+            if ends != "browser":
+                page.close()
         finally:
             program.kill()
             program.wait()
     assert program.returncode == 0
-    assert "ended, all electrodes at zero volts; what was kept is in live" in rest
-    assert "Traceback" not in rest
-    log = open_log(tmp_path / "live" / "bench.log")
-    assert log.sizes["time"] > 2
-    says = "the driving browser was closed" if ends == "browser" else "the program was ended"
-    assert any(says in event.text for event in log.attrs["events"]), log.attrs["events"]
+    return rest
 
 
 def wait_for_event(folder: Path, says: str) -> None:
-    end = time.monotonic() + 20.0
-    while not any(says in event.text for event in open_log(folder / "live" / "bench.log").attrs["events"]):
+    end, path = time.monotonic() + 40.0, folder / "live" / "bench.log"
+    while not (path.exists() and any(says in event.text for event in open_log(path).attrs["events"])):
         assert time.monotonic() < end, "it was not told"
         time.sleep(0.05)
