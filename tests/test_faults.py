@@ -125,7 +125,7 @@ class Tank:
         assert any(says in event.text for event in read.attrs["events"]), read.attrs["events"]
 
 
-def wait(until: Callable[[], bool], seconds: float = 20.0) -> None:
+def wait(until: Callable[[], bool], seconds: float = 60.0) -> None:
     end = time.monotonic() + seconds
     while not until():
         assert time.monotonic() < end, "nothing happened"

@@ -41,11 +41,24 @@ UNHURRIED = [*COARSE, f"programme.control_period={PERIOD}", f"recording.interval
 """A loop that a busy machine does not hold up for too long."""
 
 
-def wait(until, seconds: float = 60.0) -> None:
+def wait(until, seconds: float = 180.0) -> None:
     end = time.monotonic() + seconds
     while not until():
         assert time.monotonic() < end, "nothing happened"
         time.sleep(0.002)
+
+
+def runs(session: Session) -> None:
+    """Start it by hand, and wait until there are voltages; again where a busy machine held up the loop."""
+    for _ in range(3):
+        session.set_pattern("ridge", 5.0)
+        session.start()
+        wait(lambda: session.moment().given.any() or session.moment().state == "stopped")
+        if session.moment().state != "stopped":
+            return
+        session.reset()
+        wait(lambda: session.moment().state == "ready")
+    pytest.fail("the machine was busy three times")
 
 
 @pytest.fixture
@@ -72,10 +85,8 @@ def test_a_stop_during_a_reset_is_not_lost_to_a_start_behind_it(session):
     session.emergency_stop("me")
     stands(session)
     session.reset()
-    session.set_pattern("ridge", 5.0)
     wait(lambda: session.moment().state == "ready")
-    session.start()
-    wait(lambda: session.moment().given.any())
+    runs(session)
 
 
 def test_a_stop_while_another_scenario_is_built(session):
@@ -86,9 +97,7 @@ def test_a_stop_while_another_scenario_is_built(session):
 
 
 def test_a_stop_while_the_driver_changes(session, monkeypatch):
-    session.set_pattern("ridge", 5.0)
-    session.start()
-    wait(lambda: session.moment().given.any())
+    runs(session)
     warmed = session._ready.warm
     monkeypatch.setattr(session._ready, "warm", lambda *which: (time.sleep(0.5), warmed(*which)))
     session.drive_with("planned")
@@ -100,8 +109,7 @@ def test_a_stop_while_the_driver_changes(session, monkeypatch):
 
 
 def test_the_end_of_the_program_is_the_end_whatever_was_asked_for(session):
-    session.set_pattern("ridge", 5.0)
-    session.start()
+    runs(session)
     session.halt("the program was ended")
     time.sleep(0.5)
     assert not session.setup.guard.given.any()

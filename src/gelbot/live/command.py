@@ -151,8 +151,8 @@ def _pace(text: str) -> float | None:
         pace = float(text)
     except ValueError:
         pace = 0.0
-    if not 0.0 < pace < 1e3:
-        raise BadInput("--pace", text, "a number above 0, or fast: as fast as it goes")
+    if not 1.0 <= pace < 1e3:
+        raise BadInput("--pace", text, "1 or more, or fast: as fast as it goes")
     return pace
 
 

@@ -15,23 +15,21 @@ from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gelbot.bench import Decision, Driver, Tick, drive
+from gelbot.bench import Tick, drive
 from gelbot.clock import WallClock, be_in_time
 from gelbot.errors import BadInput, BenchStopped, GelbotError
-from gelbot.hardware.guard import Guard
 from gelbot.live.drivers import ByHand, Programmed
 from gelbot.live.keeping import Keeping
-from gelbot.live.moment import Moment, Seen, Stage, Ticks
+from gelbot.live.moment import Moment, Stage, Ticks
 from gelbot.live.ready import HAND, OFFERED, SERVO, Ready, Source, make_ready, stage_of
 from gelbot.live.setups import Setup
+from gelbot.live.standing import Helm, Standing, seen_at
 from gelbot.live.twin import Twin
 from gelbot.plan.templates import template
-from gelbot.points import Observation
 from gelbot.scenario.load import names
 
 Floats = NDArray[np.float64]
@@ -45,29 +43,6 @@ SWITCH = 2e-4
 """A thread that computes gives way after so long [s]: a tick takes the interpreter some fifty times, and must not wait
 Python's usual 5 ms each time while a recording or the page is written."""
 READY, BUILDING, RUNNING, PAUSED, STOPPED = "ready", "building", "running", "paused", "stopped"
-
-
-class Helm:
-    """Where a driver sits: it may change while the loop turns, and each counts the time from where it sat down."""
-
-    def __init__(self, name: str, driver: Driver) -> None:
-        self.name, self.driver = name, driver
-        self._since: float | None = None
-
-    def decide(self, time: float, seen: Observation) -> Decision:
-        """What the driver that sits here wants."""
-        if self._since is None:
-            self._since = time
-        return self.driver.decide(time - self._since, seen)
-
-
-class Standing(NamedTuple):
-    """What stands: a scenario, the simulator beside it, what the page shows of both, and the guard over it."""
-
-    ready: Ready
-    twin: Twin
-    stage: Stage
-    guard: Guard
 
 
 class Session:
@@ -119,46 +94,30 @@ class Session:
 
     def moment(self) -> Moment:
         """The newest moment. The simulated gel is shown a period late, so that it moves smoothly between ticks."""
-        (ready, twin, _, guard), tick, helm = self._standing, self._last, self._helm
-        driver = helm.driver
-        period = ready.nominal.scenario.programme.control_period
-        shape = twin.shape_at(self.setup.clock.now() - period)
-        count = ready.nominal.array.count
-        given = guard.given
-        if len(given) != count:  # of a recording
-            has_given = tick is not None and self._state == RUNNING and len(tick.given) == count
-            given = tick.given if tick is not None and has_given else np.zeros(count)
-        phases = ready.phases(helm.name) if helm.name in ready.controllers else [""]
-        reference = np.nan if tick is None else tick.decided.reference
-        if isinstance(driver, Programmed) and driver.reference is not None:
-            reference = driver.reference
+        standing, helm = self._standing, self._helm
+        tick = self._last if self._state == RUNNING else None
+        shape = standing.twin.shape_at(self.setup.clock.now() - standing.period)
+        given = standing.given(tick)
         return Moment(
             number=self._number,
-            state=STOPPED if guard.reason is not None else RUNNING if self._is_changing else self._state,
-            message=twin.broken or self.message,
+            state=STOPPED if standing.guard.reason is not None else RUNNING if self._is_changing else self._state,
+            message=standing.twin.broken or self.message,
             time=self._time,
             positions=shape.positions,
             adsorption=shape.adsorption,
-            asked=self._asked(given),
+            asked=helm.asked(tick, standing.count),
             given=given,
-            currents=_currents(ready, given),
-            observed=None if tick is None else _seen(tick),
-            reference=reference,
-            phase="" if tick is None else phases[min(tick.decided.phase, len(phases) - 1)],
+            currents=standing.currents(given),
+            observed=None if self._last is None else seen_at(self._last),
+            reference=helm.reference(self._last),
+            phase=standing.phase(helm, self._last),
             controller=helm.name,
             recording=self.keeping.recording,
-            arrows=twin.arrows(),
+            arrows=standing.twin.arrows(),
             picture=self.setup.picture(),
             ticks=self._told(),
             pace=self.setup.pace,
         )
-
-    def _asked(self, given: Floats) -> Floats:
-        """What the driver wants; by hand that is known before it is done."""
-        driver, tick = self._helm.driver, self._last
-        if isinstance(driver, ByHand):
-            return driver.voltages
-        return np.zeros_like(given) if tick is None or self._state != RUNNING else tick.decided.voltages
 
     # -- what a user does; each returns at once, but checks what it was given
 
@@ -262,8 +221,9 @@ class Session:
 
     def set_pace(self, pace: float | None) -> None:
         """Simulated seconds to one of the wall clock; None: as fast as it goes."""
-        if pace is not None and not (np.isfinite(pace) and pace > 0.0):
-            raise BadInput("pace", pace, "a number above 0, or none: as fast as it goes")
+        # Slower than the wall clock its loop would be taken for one that has stalled.
+        if pace is not None and not (np.isfinite(pace) and pace >= 1.0):
+            raise BadInput("pace", pace, "1 or more, or none: as fast as it goes")
         self.setup.set_pace(pace)
 
     def record(self, wanted: bool) -> None:
@@ -348,7 +308,7 @@ class Session:
         self._took.append(tick.took)
         self._late += tick.missed
         self._last, self._number, self._time = tick, self._number + 1, tick.time + period
-        self.keeping.tick(tick, _currents(ready, tick.given), self.setup.guard.measured, twin)
+        self.keeping.tick(tick, self._standing.currents(tick.given), self.setup.guard.measured, twin)
         if self.keeping.failed:
             self._tell(self.keeping.failed)
             self.keeping.record(False, ready)
@@ -507,10 +467,6 @@ class Session:
         return self._standing.twin
 
 
-def _currents(ready: Ready, given: Floats) -> Floats:
-    return ready.nominal.field.conductance @ (ready.nominal.connection @ given)
-
-
 def _settle_memory() -> None:
     """What stands now will stand: the collector, which holds up everything for a quarter of a second where it looks at
     all that a scenario is made of, need not look at it again."""
@@ -528,12 +484,6 @@ def _with(voltages: Floats, electrode: int, volts: float) -> Floats:
 def _check_volts(volts: float, limit: float) -> None:
     if not (np.isfinite(volts) and abs(volts) <= limit):
         raise BadInput("voltage", f"{volts:g} V", f"from {-limit:g} V to {limit:g} V, the supply's limit")
-
-
-def _seen(tick: Tick) -> Seen:
-    seen = tick.seen.observation
-    centre, tips, normal = (np.asarray(part, np.float64) for part in (seen.centre, seen.tips, seen.normal))
-    return Seen(centre, tips, normal, tick.seen.confidence)
 
 
 def _words(error: Exception) -> str:
