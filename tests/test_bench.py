@@ -290,7 +290,7 @@ def test_a_log_on_a_full_disk_stays_whole(tmp_path):
 def test_a_log_is_played_as_a_plant(tmp_path):
     written(tmp_path / "bench.log", 5).close()
     clock = HandClock(3.0)
-    plant = PlayedPlant(recording(tmp_path), clock)
+    plant = PlayedPlant(recording(tmp_path)[0], clock)
     for k, tick in enumerate(drive(plant, Slow(clock, [0.0] * 9), clock, 0.1, 0.5)):
         np.testing.assert_allclose(tick.seen.observation.centre, row(k)["centre"], rtol=1e-6)
         np.testing.assert_allclose(tick.given, row(k)["voltage"], rtol=1e-6)

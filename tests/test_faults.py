@@ -36,7 +36,7 @@ import pytest
 
 from gelbot.bench import Decision
 from gelbot.clock import Clock
-from gelbot.errors import BadInput
+from gelbot.errors import GelbotError
 from gelbot.hardware.reference_device import ReferenceDevice
 from gelbot.hardware.serial_supply import SerialSupply
 from gelbot.hardware.served_device import ServedDevice
@@ -113,7 +113,7 @@ class Tank:
         message = self.session.moment().message
         assert says in message
         assert "\n" not in message
-        with pytest.raises(BadInput, match="a reset first"):
+        with pytest.raises(GelbotError, match="Press reset first"):
             self.session.start()
         self.log(says)
 
@@ -328,7 +328,7 @@ def test_the_emergency_stop(tmp_path):
     with made(tmp_path) as tank:
         tank.runs()
         assert tank.fault(lambda: tank.session.emergency_stop("the page")) < 0.15
-        tank.ended("emergency stop, by the page")
+        tank.ended("emergency stop: the page")
         tank.session.reset()
         wait(lambda: tank.session.moment().state == "ready")
         tank.runs()

@@ -89,7 +89,7 @@ def test_a_click_gives_volts_the_gel_moves_and_stops(browser, tmp_path):
         session.close()
     log = open_log(tmp_path / "live" / "bench.log")
     assert log["voltage"].values[:, electrode].max() == pytest.approx(volts)
-    assert any("emergency stop, by browser 1" in event.text for event in log.attrs["events"])
+    assert any("emergency stop: browser 1" in event.text for event in log.attrs["events"])
 
 
 def test_another_scenario_and_another_body(browser, tmp_path):

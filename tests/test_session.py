@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelbot.errors import BadInput, SupplyFailed
+from gelbot.errors import BadInput, GelbotError, SupplyFailed
 from gelbot.hardware.soft_supply import SoftSupply
 from gelbot.live.ready import Source
 from gelbot.live.session import Session
@@ -74,7 +74,7 @@ def stands(session: Session) -> None:
     wait(lambda: session.moment().state not in ("building", "running"))
     assert not session.setup.guard.given.any()
     assert session.setup.guard.reason is not None
-    with pytest.raises(BadInput, match="a reset first"):
+    with pytest.raises(GelbotError, match="Press reset first"):
         session.start()
 
 
@@ -115,7 +115,7 @@ def test_the_end_of_the_program_is_the_end_whatever_was_asked_for(session):
     assert not session.setup.guard.given.any()
     session.reset()
     time.sleep(2.0)
-    with pytest.raises(BadInput, match="the program was ended"):
+    with pytest.raises(GelbotError, match="the program was ended"):
         session.start()
 
 
@@ -192,7 +192,7 @@ def test_a_supply_that_is_gone_at_a_reset(tmp_path):
         session.reset()
         wait(lambda: session.moment().state == "stopped")
         assert "it is gone" in session.moment().message
-        with pytest.raises(BadInput, match="a reset first"):
+        with pytest.raises(GelbotError, match="Press reset first"):
             session.start()
         there[0] = True
         session.reset()

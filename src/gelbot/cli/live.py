@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from gelbot.cli.common import app, plain_errors
+from gelbot.cli.common import app, plain_errors, stoppable
 
 
 @app.command()
@@ -54,7 +54,8 @@ def live(
     ] = None,
 ) -> None:
     """Drive a gel from the browser, with the simulator beside it; Ctrl-C ends it, the space bar stops it."""
-    with plain_errors():
+    # What is stopped while it is built has nothing to keep.
+    with plain_errors(), stoppable():
         from gelbot.live.command import Asked, live_bench
 
         live_bench(

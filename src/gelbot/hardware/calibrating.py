@@ -86,6 +86,8 @@ def picture_of(source: str) -> NDArray[np.uint8]:
         if pixels is None:
             raise BadInput("picture", source, "a picture that can be read, such as a PNG", "a camera's number")
         return pixels
+    if not source.isdigit() and "://" not in source:
+        raise BadInput("picture", source, "a picture that is there, the number of a camera, or the address of a stream")
     clock = WallClock()
     camera = VideoCamera(int(source) if source.isdigit() else source, clock)
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from functools import cache
 from typing import Any
 
@@ -10,6 +11,8 @@ from gelbot.errors import CameraFailed
 
 @cache
 def _loaded() -> Any:
+    # What cannot be opened is said by whoever wanted it, on one line.
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
     import cv2
 
     # Of a picture this small more threads take longer, and they would take the core of the loop.

@@ -64,10 +64,12 @@ def live_bench(asked: Asked, say: Callable[[str], None]) -> None:
         source = source_of(asked, setup)
         scenario = source.load(asked.changes).scenario
         check_asked(asked, scenario)
+        if asked.real:
+            source.load([*asked.changes, *asked.real])
         name = scenario.name
         folder = free_folder(Path("live"), name) if asked.out is None else checked_folder(asked.out)
         say("building the bench")
-        session = Session(setup, source, folder, asked.changes, asked.real)
+        session = Session(setup, source, folder, asked.changes, asked.real, say)
         over.is_late = True
         try:
             if asked.controller is not None:
@@ -82,7 +84,7 @@ def live_bench(asked: Asked, say: Callable[[str], None]) -> None:
 def _serve(session: Session, address: str, asked: Asked, over: Over, say: Callable[[str], None]) -> None:
     """Until it is `over`; then zero volts, before the page is closed, which takes its time."""
     try:
-        say(f"the bench is at {address}")
+        say(f"{session.setup.words}: the bench is at {address}")
         say("emergency stop: the red button, or the space bar, here or there; Ctrl-C ends it")
         with keyboard(lambda: session.emergency_stop("the keyboard")):
             if asked.browser:

@@ -49,13 +49,20 @@ class Session:
     """A `setup` under a scenario; see `live.actions.Actions` for what a user can do.
 
     `real`: how the simulated gel differs from the scenario that its controllers know, key=value. `folder` takes logs
-    and recordings. Made, it has built everything and waits at the beginning; `close` ends it. Raises `BadInput`.
+    and recordings; `say` is told what is done while it is built. Made, it has built everything and waits at the
+    beginning; `close` ends it. Raises `BadInput`.
     """
 
     def __init__(
-        self, setup: Setup, source: Source, folder: Path, changes: Sequence[str] = (), real: Sequence[str] = ()
+        self,
+        setup: Setup,
+        source: Source,
+        folder: Path,
+        changes: Sequence[str] = (),
+        real: Sequence[str] = (),
+        say: Callable[[str], None] = lambda text: None,
     ) -> None:
-        self.setup, self.message = setup, ""
+        self.setup, self.message, self._say = setup, "", say
         self._real, self._commands = tuple(real), SimpleQueue[Callable[[], None]]()
         self._state, self._number, self._time = READY, 0, 0.0
         self._took, self._late = deque[float](maxlen=REMEMBERED), 0
@@ -166,7 +173,7 @@ class Session:
 
     def emergency_stop(self, who: str) -> None:
         """Zero volts now."""
-        self._stop(f"emergency stop, by {who}")
+        self._stop(f"emergency stop: {who}")
 
     def halt(self, reason: str) -> None:
         """Zero volts now, and for good."""
@@ -389,9 +396,9 @@ class Session:
     def _check_free(self) -> None:
         reason = self._stopped_by if self._has_ended else self.setup.guard.reason
         if reason is not None:
-            raise BadInput("start", f"stopped: {reason}", "a reset first")
+            raise GelbotError(f"it was stopped: {reason}. Press reset first")
         if self._state == BUILDING:
-            raise BadInput("start", "still building", "a start when it stands")
+            raise GelbotError("it is still being built. Start when it stands")
 
     def _go(self, stops: int) -> None:
         if self._state == RUNNING:
@@ -456,6 +463,7 @@ class Session:
         """What setup and guard have to say: for the user, and for the log, once there is one."""
         if self._state in (READY, BUILDING):
             self._notes.append(text)
+            self._say(text)
         self._tell(text)
 
     @property

@@ -31,6 +31,8 @@ from gelbot.units import shown
 Tell = Callable[[str], None]
 
 
+SLACK = 3.0
+"""The loop of a simulated gel may be held up for so long [s]: nothing is at stake, and the machine may be busy."""
 LONGEST_PERIOD = 0.15
 """A control period that leaves time to see that the loop has stalled [s]."""
 
@@ -172,7 +174,7 @@ class SimulatedSetup(_Paced):
         self._camera = None
         rendered = ready.nominal.scenario.camera.source == RENDERED
         eye_of = partial(self._rendered, ready, tell) if rendered else None
-        self.inside = simulated(ready.nominal, ready.real, self.clock, self._wall, self._seed, tell, eye_of)
+        self.inside = simulated(ready.nominal, ready.real, self.clock, self._wall, self._seed, tell, eye_of, SLACK)
         self.inside.gel.compile()
         self.plant, self.guard = self.inside.plant, self.inside.plant.guard
         self.guard.watch()
@@ -274,7 +276,8 @@ class PlayedSetup(_Paced):
 
     def __init__(self, path: Path, pace: float | None = 1.0) -> None:
         super().__init__(pace)
-        self.words, self._recording = f"recording {path}", recording(path)
+        self._recording, file = recording(path)
+        self.words = f"recording {file}"
         self.plant = self._played = PlayedPlant(self._recording, self.clock)
         self.scenario_text = str(self._recording.attrs.get("scenario", ""))
 

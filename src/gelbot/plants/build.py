@@ -56,11 +56,19 @@ def limits_of(experiment: Experiment) -> Limits:
 
 
 def guard_of(
-    experiment: Experiment, supply: Supply, clock: Clock, on_event: Tell, gel_clock: Clock | None = None
+    experiment: Experiment,
+    supply: Supply,
+    clock: Clock,
+    on_event: Tell,
+    gel_clock: Clock | None = None,
+    slack: float = LOOP_LATE,
 ) -> Guard:
-    """The guard over `supply`, which watches the loop and the camera."""
+    """The guard over `supply`, which watches the loop and the camera.
+
+    They may be silent for a control period and the `slack` [s], at least.
+    """
     scenario = experiment.scenario
-    camera, late = scenario.camera, scenario.programme.control_period + LOOP_LATE
+    camera, late = scenario.camera, scenario.programme.control_period + slack
     watches = {
         LOOP: Watch(max(LOOP_SILENT, late)),
         # It is the loop that looks.
@@ -120,18 +128,20 @@ def simulated(
     seed: int = 0,
     on_event: Tell = lambda text: None,
     eye_of: Callable[[SimulatedGel], Eye] | None = None,
+    slack: float = LOOP_LATE,
 ) -> Simulated:
     """A bench whose gel is that of `real`, guarded as the scenario of `nominal` says.
 
     The gel goes by `clock`, silence is measured by the `guard_clock`, where there is another one. `eye_of` makes what
-    sees the gel, if not the simulated eye with the scenario's noise.
+    sees the gel, if not the simulated eye with the scenario's noise. With more `slack` [s], a busy machine lets the gel
+    take its time, where on the bench it would be stopped.
     """
     camera, period = nominal.scenario.camera, nominal.scenario.programme.control_period
     silence = clock if guard_clock is None else guard_clock
     # Where no thread keeps it alive between ticks, it must outlast a period.
-    watchdog = max(nominal.scenario.supply.device.watchdog, period + LOOP_LATE)
+    watchdog = max(nominal.scenario.supply.device.watchdog, period + slack)
     supply = soft_supply(nominal, silence, watchdog)
-    guard = guard_of(nominal, supply, silence, on_event, clock)
+    guard = guard_of(nominal, supply, silence, on_event, clock, slack)
     gel = SimulatedGel(real, lambda: guard.wiring.to_electrodes(supply.outputs()), clock.now())
     if eye_of is None:
         eye: Eye = SimulatedEye(gel, Noise(camera.position_noise, camera.angle_noise), camera.delay, seed)

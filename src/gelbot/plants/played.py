@@ -62,16 +62,19 @@ class PlayedPlant:
         return max(0, int(np.searchsorted(self._time, self._clock.now() - self._start + EARLY, side="right")) - 1)
 
 
-def recording(path: Path) -> xr.Dataset:
-    """The recording at `path`: the log of a bench, a run's folder, or its run.zarr. Raises `BadInput`."""
+def recording(path: Path) -> tuple[xr.Dataset, Path]:
+    """The recording at `path`, and the file or folder that holds it: a log of a bench, a run, or of a folder with
+    several of them the newest log. Raises `BadInput`."""
     allowed = "a log of gelbot live (bench.log), or the folder of a run"
+    logs = sorted(path.glob("bench*.log"), key=lambda log: log.stat().st_mtime)
+    if logs:
+        path = logs[-1]
     for folder in (path / "run.zarr", path):
         if (folder / "zarr.json").is_file():
-            return checked(open_run(folder), path, allowed)
-    file = path / "bench.log" if path.is_dir() else path
-    if not file.is_file():
+            return checked(open_run(folder), path, allowed), folder
+    if not path.is_file():
         raise BadInput("--plant", str(path), allowed)
-    return checked(open_log(file), path, allowed)
+    return checked(open_log(path), path, allowed), path
 
 
 def checked(found: xr.Dataset, path: Path, allowed: str) -> xr.Dataset:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -135,6 +136,17 @@ class Camera(Table):
     patience: Annotated[float, Dimension("s", ge=0, le=3600)] = 5.0
     position_noise: Annotated[float, Dimension("m", ge=0, le=1e-2)] = 0.1e-3
     angle_noise: Annotated[float, Dimension("rad", ge=0, le=1)] = float(np.radians(2.0))
+
+    @field_validator("source")
+    @classmethod
+    def _is_there(cls, source: int | str | None, info: ValidationInfo) -> int | str | None:
+        if not isinstance(source, str) or source == "rendered" or "://" in source:
+            return source
+        for file in (_beside(source, info), source):
+            if Path(file).exists():
+                return file
+        allowed = 'the number of a USB camera, a file that is there, the address of a stream, or "rendered"'
+        raise wrong("", source, allowed, "".join(get_close_matches(source, ["rendered"], 1)))
 
     @field_validator("calibration", "background")
     @classmethod
