@@ -84,6 +84,7 @@ class Session:
         except BaseException:
             setup.close()
             raise
+        self._switched = sys.getswitchinterval()
         sys.setswitchinterval(SWITCH)
         self._thread = Thread(target=self._run, name="control loop", daemon=True)
         self._thread.start()
@@ -108,7 +109,7 @@ class Session:
         return Moment(
             number=self._number,
             state=STOPPED if standing.guard.reason is not None else RUNNING if self._is_changing else self._state,
-            message=standing.twin.broken or self.message,
+            message=standing.twin.broken or self.message or standing.guard.reason or "",
             time=self._time,
             positions=shape.positions,
             adsorption=shape.adsorption,
@@ -249,6 +250,9 @@ class Session:
                 self.setup.close()
             finally:
                 self.keeping.close()
+        # As it was before, for whoever goes on.
+        sys.setswitchinterval(self._switched)
+        gc.unfreeze()
 
     # -- the thread
 
