@@ -37,7 +37,7 @@ from gelbot.live.drivers import Programmed
 from gelbot.plant import Sighting, as_seen
 from gelbot.plants.build import Simulated, simulated
 from gelbot.plants.played import PlayedPlant, recording
-from gelbot.plants.simulated import Noise, SimulatedEye, SimulatedGel
+from gelbot.plants.simulated import Meanwhile, Noise, SimulatedEye, SimulatedGel
 from gelbot.record.log import BenchLog, open_log
 from gelbot.scenario.build import Experiment, build
 from gelbot.scenario.load import load
@@ -394,3 +394,19 @@ def test_an_hour_on_the_bench(tmp_path):
     np.testing.assert_allclose(log["time"], 0.1 * np.arange(36_000), atol=1e-6)
     assert int(log["missed"].sum()) == 0
     assert (log["confidence"].values == 1.0).all()
+
+
+def test_a_gel_that_moves_while_its_loop_waits_moves_as_one_that_does_not(coarse):
+    def driven(meanwhile: bool) -> tuple[np.ndarray, list[float]]:
+        clock = HandClock()
+        bench = simulated(coarse, coarse, clock, seed=2)
+        bench.plant.guard.arm()
+        waiting = Meanwhile(clock, bench.gel) if meanwhile else clock
+        ticks = drive(bench.plant, Programmed(coarse.programme), waiting, 0.1, 2.0)
+        heights = [float(np.asarray(tick.seen.observation.centre)[2]) for tick in ticks]
+        bench.plant.guard.close()
+        return np.asarray(bench.gel.state.positions), heights
+
+    (one, seen), (other, seen_too) = driven(False), driven(True)
+    np.testing.assert_allclose(one, other, atol=1e-12)
+    assert seen == seen_too

@@ -292,7 +292,7 @@ class Session:
             if self._ticks is None:
                 period = self._ready.nominal.scenario.programme.control_period
                 self._ticks = drive(
-                    self.setup.plant, self._helm, self.setup.clock, period, busy=self._wall, begun=self._time
+                    self.setup.plant, self._helm, self.setup.waiting, period, busy=self._wall, begun=self._time
                 )
             self._turned = self.setup.clock.now()
             self._after(next(self._ticks))

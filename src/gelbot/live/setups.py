@@ -23,7 +23,7 @@ from gelbot.plant import Plant, Sighting
 from gelbot.plants.build import Simulated, guard_of, simulated
 from gelbot.plants.guarded import Eye, GuardedPlant
 from gelbot.plants.played import PlayedPlant, recording
-from gelbot.plants.simulated import SimulatedGel
+from gelbot.plants.simulated import Meanwhile, SimulatedGel
 from gelbot.plants.watching import CameraEye
 from gelbot.points import Observation
 from gelbot.units import shown
@@ -55,6 +55,11 @@ class Setup(Protocol):
     @property
     def clock(self) -> Clock:
         """The loop's."""
+        ...
+
+    @property
+    def waiting(self) -> Clock:
+        """The same clock for whoever waits by it."""
         ...
 
     @property
@@ -128,6 +133,7 @@ class _Paced:
     def __init__(self, pace: float | None) -> None:
         self._wall = WallClock()
         self.clock = PacedClock(self._wall, pace, running=False)
+        self.waiting: Clock = self.clock
         self.guard = _nobody(self._wall)
 
     @property
@@ -176,6 +182,8 @@ class SimulatedSetup(_Paced):
         eye_of = partial(self._rendered, ready, tell) if rendered else None
         self.inside = simulated(ready.nominal, ready.real, self.clock, self._wall, self._seed, tell, eye_of, SLACK)
         self.inside.gel.compile()
+        # Before a camera it moves on in the camera's thread.
+        self.waiting = self.clock if rendered else Meanwhile(self.clock, self.inside.gel)
         self.plant, self.guard = self.inside.plant, self.inside.plant.guard
         self.guard.watch()
         self.words = "simulated gel" if ready.real is ready.nominal else "simulated gel, not as the model"
@@ -214,7 +222,7 @@ class BenchSetup:
     ) -> None:
         self.words, self.has_camera = words, True
         self._open_supply, self._open_eye = open_supply, open_eye
-        self.clock = WallClock()
+        self.clock = self.waiting = WallClock()
         self.guard, self.plant = _nobody(self.clock), _Nothing()
         self._eye: OpenEye | None = None
 

@@ -13,6 +13,7 @@ import numpy as np
 from jax import Array
 from numpy.typing import NDArray
 
+from gelbot.clock import Clock
 from gelbot.errors import SimulationFailed
 from gelbot.plant import Sighting, as_seen
 from gelbot.points import Observation, observe
@@ -53,6 +54,11 @@ class SimulatedGel:
         self.steps_each_period = round(experiment.scenario.programme.control_period / self._dt)
         self._steps = 0
 
+    @property
+    def step(self) -> float:
+        """Its time step [s]."""
+        return self._dt
+
     def compile(self) -> None:
         """Compile what `advance` needs, so that the first tick takes no longer than any other."""
         dtype = self.state.positions.dtype
@@ -83,6 +89,27 @@ class SimulatedGel:
         self.state, self.seen, self.report = state, as_seen(*seen), report
         if self.time - self._disturbed > DISTURBED_EVERY:
             self._model, self._disturbed = disturbed(self.experiment, self._model, state.positions), self.time
+
+
+class Meanwhile:
+    """The `clock` of a loop that drives `gel`: while the loop waits, the gel moves on, as a real one would, so that a
+    tick need not make up for a whole period."""
+
+    def __init__(self, clock: Clock, gel: SimulatedGel) -> None:
+        self._clock, self._gel = clock, gel
+
+    def now(self) -> float:
+        """The time [s]."""
+        return self._clock.now()
+
+    def wait_until(self, time: float) -> None:
+        """Wait for `time` [s]; the last step before it is left to the tick. Raises `SimulationFailed`."""
+        while (due := self._gel.time + self._gel.step) < time - SLACK:
+            self._clock.wait_until(due)
+            if self._clock.now() < due - SLACK:  # it stands still
+                return
+            self._gel.advance(self._clock.now())
+        self._clock.wait_until(time)
 
 
 class Noise(NamedTuple):
