@@ -25,4 +25,4 @@ def cv2_of(what: str) -> Any:
     try:
         return _loaded()
     except ImportError as error:
-        raise CameraFailed(what, "OpenCV is not installed", 'pip install "gelbot[hardware]"') from error
+        raise CameraFailed(what, "OpenCV is not installed", 'pip install "gelbot[hardware]", or make hardware') from error
