@@ -359,7 +359,7 @@ class Session:
         """Everything at its beginning; what was stopped since it was asked for stays stopped."""
         self._halt_if_any()
         self._notes = []
-        self.setup.begin(ready, self._note)
+        self.setup.begin(ready, self._note, self._progress)
         name = self._helm.name if self._has_helm else ready.controllers[1]
         name = name if name in ready.controllers else ready.controllers[1]
         ready.warm(name, self.setup.first_sight())
@@ -469,6 +469,11 @@ class Session:
             self._notes.append(text)
             self._say(text)
         self._tell(text)
+
+    def _progress(self, text: str) -> None:
+        """How far building has come."""
+        self.message = text
+        self._say(text)
 
     @property
     def _ready(self) -> Ready:

@@ -72,8 +72,11 @@ class Setup(Protocol):
         """What is seen and given voltages."""
         ...
 
-    def begin(self, ready: Ready, tell: Tell) -> None:
-        """Put a scenario under it, at its beginning, all electrodes at zero volts. Raises `GelbotError`."""
+    def begin(self, ready: Ready, tell: Tell, progress: Tell) -> None:
+        """Put a scenario under it, at its beginning, all electrodes at zero volts.
+
+        What lasts is told to `tell`, how far it has come to `progress`. Raises `GelbotError`.
+        """
         ...
 
     def go(self) -> None:
@@ -174,12 +177,12 @@ class SimulatedSetup(_Paced):
         """Whether there are pictures."""
         return self._camera is not None
 
-    def begin(self, ready: Ready, tell: Tell) -> None:
+    def begin(self, ready: Ready, tell: Tell, progress: Tell) -> None:
         """A new gel at its beginning."""
         self.close()
         self._camera = None
         rendered = ready.nominal.scenario.camera.source == RENDERED
-        eye_of = partial(self._rendered, ready, tell) if rendered else None
+        eye_of = partial(self._rendered, ready, progress) if rendered else None
         self.inside = simulated(ready.nominal, ready.real, self.clock, self._wall, self._seed, tell, eye_of, SLACK)
         self.inside.gel.compile()
         # Before a camera it moves on in the camera's thread.
@@ -188,8 +191,8 @@ class SimulatedSetup(_Paced):
         self.guard.watch()
         self.words = "simulated gel" if ready.real is ready.nominal else "simulated gel, not as the model"
 
-    def _rendered(self, ready: Ready, tell: Tell, gel: SimulatedGel) -> CameraEye:
-        self._camera = rendered_eye(ready, gel, self.clock, tell, self._seed)
+    def _rendered(self, ready: Ready, progress: Tell, gel: SimulatedGel) -> CameraEye:
+        self._camera = rendered_eye(ready, gel, self.clock, progress, self._seed)
         return self._camera
 
     def kept_up(self, missed: int) -> None:
@@ -226,7 +229,7 @@ class BenchSetup:
         self.guard, self.plant = _nobody(self.clock), _Nothing()
         self._eye: OpenEye | None = None
 
-    def begin(self, ready: Ready, tell: Tell) -> None:
+    def begin(self, ready: Ready, tell: Tell, progress: Tell) -> None:
         """Open what is there anew. Raises `SupplyFailed`, `CameraFailed` and `BadInput`."""
         self.close()
         period = ready.nominal.scenario.programme.control_period
@@ -236,7 +239,7 @@ class BenchSetup:
         supply = self._open_supply(ready, self.clock)
         try:
             self.guard = guard_of(ready.nominal, supply, self.clock, tell)
-            self._eye = self._open_eye(ready, self.clock, tell)
+            self._eye = self._open_eye(ready, self.clock, progress)
         except Exception:
             supply.close()
             raise
@@ -289,7 +292,7 @@ class PlayedSetup(_Paced):
         self.plant = self._played = PlayedPlant(self._recording, self.clock)
         self.scenario_text = str(self._recording.attrs.get("scenario", ""))
 
-    def begin(self, ready: Ready, tell: Tell) -> None:
+    def begin(self, ready: Ready, tell: Tell, progress: Tell) -> None:
         """Back to its beginning. Raises `BadInput` for a scenario with other electrodes."""
         recorded, there = self._recording.sizes["electrode"], ready.nominal.array.count
         if recorded != there:
