@@ -25,4 +25,5 @@ def cv2_of(what: str) -> Any:
     try:
         return _loaded()
     except ImportError as error:
-        raise CameraFailed(what, "OpenCV is not installed", 'pip install "gelbot[hardware]", or make hardware') from error
+        advice = 'pip install "gelbot[hardware]", or make hardware'
+        raise CameraFailed(what, "OpenCV is not installed", advice) from error
