@@ -182,11 +182,10 @@ def test_the_stop_waits_for_nothing_that_was_asked_before(piped: Piped, shown: S
 def test_what_waited_when_the_stop_came_is_not_done(piped: Piped, shown: Served) -> None:
     with plain_browser(shown) as wire:
         with piped.pipe:
-            for name in ("servo", "planned"):
-                put(wire, shown, "driven by", name)
-            for name in ("reset", "start"):
-                put(wire, shown, name, name)
-            until(lambda: shown.page._errands._sent == 4, 5.0)
+            presses = (("driven by", "servo"), ("driven by", "planned"), ("reset", "reset"), ("start", "start"))
+            for count, (what, value) in enumerate(presses, start=1):
+                put(wire, shown, what, value)
+                until(lambda count=count: shown.page._errands._sent == count, 5.0)
             put(wire, shown, "EMERGENCY STOP")
             until(lambda: called(piped, "emergency_stop"), 1.0)
         until(lambda: shown.page._errands.is_idle, 5.0)
@@ -202,8 +201,10 @@ def test_what_waited_when_the_stop_came_is_not_done(piped: Piped, shown: Served)
 def test_what_is_asked_is_done_in_order_and_the_last_is_shown(piped: Piped, shown: Served) -> None:
     with plain_browser(shown) as wire, plain_browser(shown) as watcher:
         with piped.pipe:
-            for name in ("servo", "planned", "nobody", "predictive"):
+            # As fast as a person could: a choice is read when its turn comes in the page, not when it was sent.
+            for count, name in enumerate(("servo", "planned", "nobody", "predictive"), start=1):
                 put(wire, shown, "driven by", name)
+                until(lambda count=count: shown.page._panel.controller._asked_for == count, 5.0)
             put(watcher, shown, "driven by", "by hand")
         until(lambda: len(called(piped, "drive_with")) == 4, 5.0)
         assert [name for (name,) in called(piped, "drive_with")] == ["servo", "planned", "nobody", "predictive"]
