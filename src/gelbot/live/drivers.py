@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from numpy.typing import NDArray
 
-from gelbot.bench import Decision, Driver
-from gelbot.control.programme import Phases, Programme, Progress, advance, begin
+from gelbot.bench import Decision
+from gelbot.control.programme import Command, Phases, Programme, Progress, advance, begin
 from gelbot.controllers.predictive import Predictive
 from gelbot.points import Observation
 from gelbot.scenario.build import Experiment
@@ -38,14 +41,12 @@ class Programmed:
 
     def decide(self, time: float, seen: Observation) -> Decision:
         """One tick of the programme. It begins with the first."""
-        seen = Observation(*(jnp.asarray(part, self._dtype) for part in seen))
+        seen = _cast(seen, self._dtype)
         if self._progress is None:
             self._progress: Progress | None = begin(self._programme, seen)
         programme = held_at(self._programme, self.reference)
         self._progress, volts, command = _advance(programme, self._progress, jnp.asarray(time, self._dtype), seen)
-        return Decision(
-            np.asarray(volts, np.float64), int(command.phase), float(command.amplitude), float(command.reference)
-        )
+        return _decision(volts, command)
 
 
 class Predicting:
@@ -60,14 +61,12 @@ class Predicting:
         """One tick; its twin lies where the gel is seen first."""
         import time as clock
 
-        seen = Observation(*(jnp.asarray(part, self._dtype) for part in seen))
+        seen = _cast(seen, self._dtype)
         if self._inner is None:
             timed = clock.perf_counter if self._timed else None
             self._inner: Predictive | None = Predictive(self._nominal, {}, seen, clock=timed)
         volts, command = self._inner.tick(jnp.asarray(time, self._dtype), seen)
-        return Decision(
-            np.asarray(volts, np.float64), int(command.phase), float(command.amplitude), float(command.reference)
-        )
+        return _decision(volts, command)
 
 
 def held_at(programme: Programme, height: float | None) -> Programme:
@@ -91,4 +90,12 @@ def lifting(programme: Programme) -> Programme:
     return programme._replace(phases=phases)
 
 
-__all__ = ["ByHand", "Driver", "Predicting", "Programmed", "held_at", "lifting"]
+def _cast(seen: Observation, dtype: Any) -> Observation:
+    """What was seen, as the engine's arrays in the scenario's precision."""
+    return Observation(*(jnp.asarray(part, dtype) for part in seen))
+
+
+def _decision(volts: Array, command: Command) -> Decision:
+    """What a programme's tick gives, in plain numbers."""
+    plain = np.asarray(volts, np.float64)
+    return Decision(plain, int(command.phase), float(command.amplitude), float(command.reference))

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelbot.bench import Driver
-from gelbot.control.programme import Programme
 from gelbot.controllers.choice import planned, with_controller
 from gelbot.errors import BadInput
 from gelbot.field.electrodes import THIN, Electrode
@@ -96,10 +95,6 @@ class Ready:
         driver, period = self.driver(name), self.nominal.scenario.programme.control_period
         for k in range(WARMING):
             driver.decide(k * period, seen)
-
-    def programme(self, name: str) -> Programme:
-        """The programme of the driver `name`."""
-        return self.experiment(name).programme
 
 
 def make_ready(source: Source, changes: Sequence[str], real: Sequence[str], base: Ready | None = None) -> Ready:

@@ -290,10 +290,8 @@ class Session:
         """One turn of the loop."""
         try:
             if self._ticks is None:
-                period = self._ready.nominal.scenario.programme.control_period
-                self._ticks = drive(
-                    self.setup.plant, self._helm, self.setup.waiting, period, busy=self._wall, begun=self._time
-                )
+                plant, clock, period = self.setup.plant, self.setup.waiting, self._standing.period
+                self._ticks = drive(plant, self._helm, clock, period, busy=self._wall, begun=self._time)
             self._turned = self.setup.clock.now()
             self._after(next(self._ticks))
         except BenchStopped as stop:
@@ -312,8 +310,7 @@ class Session:
 
     def _after(self, tick: Tick) -> None:
         """What belongs to a tick, and may wait until the electrodes have their voltages."""
-        ready, twin = self._ready, self._twin
-        period = ready.nominal.scenario.programme.control_period
+        twin, period = self._twin, self._standing.period
         twin.advance(self.setup.clock.now())
         twin.voltages = tick.given
         self._took.append(tick.took)
@@ -322,7 +319,7 @@ class Session:
         self.keeping.tick(tick, self._standing.currents(tick.given), self.setup.guard.measured, twin)
         if self.keeping.failed:
             self._tell(self.keeping.failed)
-            self.keeping.record(False, ready)
+            self.keeping.record(False, self._ready)
         self.setup.kept_up(tick.missed)
         if self.setup.guard.reason is not None:
             self._halt(STOPPED, self.setup.guard.reason)
@@ -357,7 +354,8 @@ class Session:
 
     def _begin(self, ready: Ready, stops: int) -> None:
         """Everything at its beginning; what was stopped since it was asked for stays stopped."""
-        self._halt_if_any()
+        if self._has_helm:
+            self._halt(BUILDING, "")
         self._notes = []
         self.setup.begin(ready, self._note, self._progress)
         name = self._helm.name if self._has_helm else ready.controllers[1]
@@ -384,10 +382,6 @@ class Session:
             self.setup.guard.stop(_words(error))
             raise
 
-    def _halt_if_any(self) -> None:
-        if self._has_helm:
-            self._halt(BUILDING, "")
-
     def _rebuild(self, source: Source, changes: tuple[str, ...], stops: int) -> None:
         self._halt(BUILDING, "building")
         try:
@@ -407,7 +401,8 @@ class Session:
     def _go(self, stops: int) -> None:
         if self._state == RUNNING:
             return
-        self._check_stops(stops)
+        if self._has_ended or self._stops != stops:
+            raise BenchStopped(self._stopped_by)
         self.keeping.open()
         for note in self._notes:
             self.keeping.event(self._time, note)
@@ -418,10 +413,6 @@ class Session:
         self._state = RUNNING
         if self._stops != stops:  # it came while this was done
             self.setup.guard.stop(self._stopped_by)
-
-    def _check_stops(self, stops: int) -> None:
-        if self._has_ended or self._stops != stops:
-            raise BenchStopped(self._stopped_by)
 
     def _go_once(self, stops: int) -> None:
         if self._state != RUNNING:
@@ -454,9 +445,8 @@ class Session:
     def _by_hand(self, changed: Callable[[Floats], Floats]) -> None:
         driver = self._helm.driver
         if not isinstance(driver, ByHand):
-            count, now = self._ready.nominal.array.count, self.setup.guard.given
-            driver = ByHand(count)
-            driver.voltages = now if len(now) == count else np.zeros(count)
+            driver = ByHand(self._standing.count)
+            driver.voltages = self._standing.given(None)
             self._helm = Helm(HAND, driver)
             if self._state == RUNNING:
                 self._ticks = None

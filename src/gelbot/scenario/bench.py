@@ -12,10 +12,9 @@ from pydantic import ValidationInfo, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from gelbot.errors import NOTHING
+from gelbot.hardware.limits import UNCONNECTED
 from gelbot.scenario.fields import Angle, Checked, Count, Dimension, Number, Table, wrong
 
-UNCONNECTED = -1
-"""The channel of an electrode that has none."""
 NEEDED = {
     "serial": {"port": 'a serial port, such as "/dev/ttyACM0" or "COM3"'},
     "scpi": {
