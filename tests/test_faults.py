@@ -53,7 +53,7 @@ CALM = 0.03
 """A test that could not look for longer than this [s] was held up itself: then it says nothing, and is done again."""
 COARSE = "body.mesh_size=1.8 mm"
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 
 class TankEye(SimulatedEye):
@@ -93,14 +93,20 @@ class Tank:
         """Wait until it gives voltages, and goes on to."""
         wait(lambda: self.device.outputs().any() or self.session.moment().state == "stopped")
         time.sleep(0.3)
-        moment = self.session.moment()
-        if "silent" in moment.message or "waiting" in moment.message:
+        self.on_time()
+        assert self.session.moment().state == "running", self.session.moment().message
+
+    def on_time(self) -> None:
+        """Nobody was silent for too long. Raises `Busy`: nothing was done here that could make them."""
+        message = self.session.moment().message
+        if "silent" in message or "waiting" in message or "stood still" in message:
             raise Busy
-        assert moment.state == "running", moment.message
 
     def fault(self, cause: Callable[[], object]) -> float:
         """What it took [s] from the beginning of a fault to zero volts."""
-        assert self.device.outputs().any()
+        if not self.device.outputs().any():
+            self.on_time()
+            pytest.fail(f"zero volts before the fault: {self.session.moment().message}")
         began = time.monotonic()
         cause()
         return zero_after(self.device, began)
@@ -111,6 +117,8 @@ class Tank:
         time.sleep(0.1)
         assert not self.device.outputs().any()
         message = self.session.moment().message
+        if says not in message:
+            self.on_time()
         assert says in message
         assert "\n" not in message
         with pytest.raises(GelbotError, match="Press reset first"):
@@ -222,7 +230,11 @@ def test_one_garbled_reply_is_no_fault(tmp_path):
     with made(tmp_path) as tank:
         tank.runs()
         tank.device.garbled_count = 1
-        time.sleep(0.5)
+        end = time.monotonic() + 0.5
+        while time.monotonic() < end and tank.device.outputs().any():
+            time.sleep(0.002)
+        # Had the reply been what made it silent, it would be silent each time.
+        tank.on_time()
         assert tank.device.garbled_count == 0
         assert tank.session.moment().state == "running"
         assert tank.device.outputs().any()

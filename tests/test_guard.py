@@ -287,6 +287,7 @@ def test_the_device_is_kept_awake_while_the_loop_lives():
         assert supply.outputs()[0] == 4.0
 
 
+@pytest.mark.realtime
 def test_in_real_time_a_thread_that_ends_leaves_zero_volts_within_300_ms():
     clock = WallClock()
     supply = SoftSupply(2, clock=clock, watchdog=None)

@@ -21,6 +21,7 @@ from gelbot.live.admission import Admission, Answer, Head, read_head
 from gelbot.live.serve import Served, serve
 from toy import Toy
 
+pytestmark = pytest.mark.realtime
 TOKEN = "correct-horse-battery"
 VISER = Subprotocol(f"viser-v{viser.__version__}")
 

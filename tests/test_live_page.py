@@ -32,6 +32,7 @@ from gelbot.live.serve import Served, serve
 from gelbot.live.shared import Errands, Rest
 from toy import SCENARIOS, Toy
 
+pytestmark = pytest.mark.realtime
 in_browser = pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER or "there is one")
 ELECTRODE = 15
 """One that stands in the first view."""

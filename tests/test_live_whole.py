@@ -24,7 +24,11 @@ from gelbot.live.session import Session
 from gelbot.live.setups import SimulatedSetup
 from gelbot.record.log import open_log
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER or "there is one")]
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.realtime,
+    pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER or "there is one"),
+]
 UNHURRIED = [
     "body.mesh_size=1.8 mm",
     "programme.control_period=500 ms",

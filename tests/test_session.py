@@ -34,7 +34,7 @@ from gelbot.plants.build import soft_supply
 from gelbot.plants.simulated import Noise, SimulatedEye, SimulatedGel
 from gelbot.record.log import open_log
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 COARSE = ["body.mesh_size=1.8 mm"]
 PERIOD = "500 ms"
 UNHURRIED = [*COARSE, f"programme.control_period={PERIOD}", f"recording.interval={PERIOD}", "recording.chunk=1 s"]

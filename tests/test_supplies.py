@@ -65,6 +65,7 @@ from gelbot.hardware.served_device import ServedDevice
 from gelbot.hardware.soft_supply import SoftSupply
 from gelbot.hardware.supply import Supply
 
+pytestmark = pytest.mark.realtime
 ROOT = Path(__file__).parents[1]
 VOLTS = np.linspace(-10.0, 10.0, 16).round(3)
 words = st.lists(

@@ -37,6 +37,7 @@ from gelbot.plants.build import guard_of
 from gelbot.plants.guarded import GuardedPlant
 from gelbot.plants.simulated import SimulatedGel
 
+pytestmark = pytest.mark.realtime
 UNHURRIED = [
     "body.mesh_size=1.8 mm",
     "programme.control_period=500 ms",
