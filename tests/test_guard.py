@@ -210,7 +210,6 @@ class Broken(SoftSupply):
     """A supply that fails: `write` when `refuses`; it measures what it is told to."""
 
     refuses = False
-    expired_count = 0
     measured: Reading | None = None
 
     def write(self, volts):

@@ -211,8 +211,14 @@ class TestSoftSupply:
         assert supply.outputs().tolist() == [1.0, -2.0]
         clock.move(0.02)
         assert supply.outputs().tolist() == [0.0, 0.0]
+        assert supply.expired_count == 0  # not known before it is written to, as with a real one
         supply.write(np.array([1.0, -2.0]))
+        assert supply.expired_count == 1
         assert supply.outputs().tolist() == [1.0, -2.0]
+        supply.write(np.zeros(2))
+        clock.move(1.0)
+        supply.write(np.zeros(2))
+        assert supply.expired_count == 1  # it was at zero before
         without = SoftSupply(2, clock=clock, watchdog=None)
         without.write(np.array([1.0, -2.0]))
         clock.move(1e6)
@@ -878,6 +884,7 @@ class TestNiSupply:
         supply.write(np.array([1.0, -2.0]))
         driver.expired = True
         supply.write(np.array([3.0, 4.0]))
+        assert supply.expired_count == 1
         assert supply.read() == (None, None)
         supply.close()
         supply.close()

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from threading import Event, Lock, RLock, Thread
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,7 +116,7 @@ class Guard:
             if not self._is_zero:
                 self.stop("the supply does not say that it is at zero volts")
                 raise BenchStopped(self.reason or "")
-            self._expired = self._expired_count()
+            self._expired = self._supply.expired_count
             now = self._clock.now()
             self._fed = dict.fromkeys(self._watches, now)
             self._checked = now
@@ -264,7 +264,7 @@ class Guard:
         if not all(part is None or np.isfinite(part).all() for part in reading):
             self.stop("the supply measures what is no number")
             return
-        if self._expired_count() > self._expired:
+        if self._supply.expired_count > self._expired:
             # It was at zero, and would have gone back to its voltages in one step.
             self.stop("the device's own watchdog had expired: the program stood still")
             return
@@ -297,7 +297,7 @@ class Guard:
             return
         self._given, self._written = voltages, self._clock.now()
         self._is_zero = False
-        if self._expired_count() > self._expired:
+        if self._supply.expired_count > self._expired:
             self.stop("the device's own watchdog had expired: the program stood still")
         elif self.reason is not None:  # stopped while the device was written to
             self._zero()
@@ -311,7 +311,7 @@ class Guard:
         self._given, self._is_zero = np.zeros_like(self._given), False
         volts = self.wiring.to_channels(self._given)
         try:
-            self._supply.write(np.clip(volts, *self._range()))
+            self._supply.write(np.clip(volts, self._supply.lowest, self._supply.highest))
             self._is_zero = True
         except Exception as error:
             if not is_told:
@@ -323,14 +323,6 @@ class Guard:
         now = self._gel_clock.now()
         self.charge += self.limits.total_current(self._given) * max(now - self._counted, 0.0)
         self._counted = now
-
-    def _range(self) -> tuple[Any, Any]:
-        """What the supply can give [V], lowest and highest, if it says so."""
-        return getattr(self._supply, "lowest", -np.inf), getattr(self._supply, "highest", np.inf)
-
-    def _expired_count(self) -> int:
-        """How often the device's own watchdog has expired, if it says so."""
-        return int(getattr(self._supply, "expired_count", 0))
 
     def _say(self, text: str) -> None:
         """Tell what happened. Whoever is told may fail; the guard does not."""

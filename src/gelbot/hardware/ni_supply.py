@@ -53,7 +53,7 @@ class NiSupply:
         self.name = f"NI card {device}"
         self.lowest, self.highest, self._timeout = lowest, highest, timeout
         self.watchdog: float | None = None
-        self.without_watchdog = ""
+        self.without_watchdog, self.expired_count = "", 0
         self._task: Any = None
         self._guard: Any = None
         try:
@@ -106,6 +106,7 @@ class NiSupply:
         try:
             if self._guard is not None:
                 if self._guard.expired:
+                    self.expired_count += 1
                     self._guard.clear_expiration()  # until then the card takes no voltages
                 self._guard.reset_timer()
             self._task.write(

@@ -44,6 +44,7 @@ class ScpiSupply:
     """
 
     watchdog: float | None = None
+    expired_count = 0
 
     def __init__(
         self,

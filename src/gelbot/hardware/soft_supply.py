@@ -18,9 +18,10 @@ class SoftSupply:
     """The soft twin of a supply, with the watchdog of a real one.
 
     `channel_count` outputs from `lowest` to `highest` [V]. When no voltages were written for `watchdog` [s] of `clock`,
-    all outputs are zero until the next ones come; None: it has no watchdog, and keeps its last voltages. `resolution`
-    [V] is the step of its converter, 0 for none. `conductance` [S], shape (c, c), of the load gives the currents that
-    it "measures", out of each channel; without, `read` has none. May be asked from any thread. Raises `BadInput`.
+    all outputs are zero until the next ones come; None: it has no watchdog, and keeps its last voltages.
+    `expired_count` says how often it had, with voltages on them, when it was last written to. `resolution` [V] is the
+    step of its converter, 0 for none. `conductance` [S], shape (c, c), of the load gives the currents that it
+    "measures", out of each channel; without, `read` has none. May be asked from any thread. Raises `BadInput`.
     """
 
     def __init__(
@@ -49,7 +50,7 @@ class SoftSupply:
         self._clock = WallClock() if clock is None else clock
         self._lock = threading.Lock()
         self._volts = np.zeros(channel_count)
-        self._written = -math.inf
+        self._written, self.expired_count = -math.inf, 0
         self._closed = False
 
     def write(self, volts: NDArray[np.float64]) -> None:
@@ -58,6 +59,7 @@ class SoftSupply:
         with self._lock:
             if self._closed:
                 raise SupplyFailed(self.name, "it was closed", "open it anew")
+            self.expired_count += self._is_expired() and bool(self._volts.any())
             step = self.resolution
             self._volts = np.round(asked / step) * step if step else asked
             self._written = self._clock.now()
@@ -65,8 +67,10 @@ class SoftSupply:
     def outputs(self) -> NDArray[np.float64]:
         """The voltages [V], shape (c,), that are on the outputs now."""
         with self._lock:
-            expired = self.watchdog is not None and self._clock.now() - self._written >= self.watchdog
-            return np.zeros(self.channel_count) if expired else self._volts.copy()
+            return np.zeros(self.channel_count) if self._is_expired() else self._volts.copy()
+
+    def _is_expired(self) -> bool:
+        return self.watchdog is not None and self._clock.now() - self._written >= self.watchdog
 
     def read(self) -> Reading:
         """The voltages [V] on the outputs, and the currents [A] of the load if there is one; each of shape (c,)."""

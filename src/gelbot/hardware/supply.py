@@ -7,6 +7,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+Volts = float | NDArray[np.float64]
+
 
 class Reading(NamedTuple):
     """What a supply has measured on its channels: `volts` [V] (c,) and `amperes` [A] (c,); None where it cannot."""
@@ -24,6 +26,26 @@ class Supply(Protocol):
 
     name: str
     channel_count: int
+
+    @property
+    def lowest(self) -> Volts:
+        """The lowest voltage [V] that it can give; one for all, or one for each channel, shape (c,)."""
+        ...
+
+    @property
+    def highest(self) -> Volts:
+        """The highest voltage [V] that it can give; one for all, or one for each channel, shape (c,)."""
+        ...
+
+    @property
+    def watchdog(self) -> float | None:
+        """After so long [s] without a word from the host it goes to zero volts by itself; None: it keeps them."""
+        ...
+
+    @property
+    def expired_count(self) -> int:
+        """How often it has gone to zero volts by itself, as far as it has said so; 0 where it cannot tell."""
+        ...
 
     def write(self, volts: NDArray[np.float64]) -> None:
         """Put `volts` [V], shape (c,), on the outputs, all at once; returns when the device has said that it did.

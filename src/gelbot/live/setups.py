@@ -245,7 +245,7 @@ class BenchSetup:
             raise
         self.plant = GuardedPlant(self.guard, self._eye, self.clock)
         self.guard.watch()
-        if getattr(supply, "watchdog", None) is None:
+        if supply.watchdog is None:
             tell(f"{supply.name} has no watchdog: where this program is killed, it keeps its voltages")
 
     def go(self) -> None:

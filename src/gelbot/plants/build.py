@@ -82,8 +82,7 @@ def guard_of(
 def _check_zero(wiring: Wiring, supply: Supply) -> None:
     """Zero volts on every electrode is something that the supply can give, or a `BadInput`."""
     zero = wiring.to_channels(np.zeros(len(wiring.channel)))
-    lowest, highest = (np.broadcast_to(getattr(supply, name, end), zero.shape)
-                       for name, end in (("lowest", -np.inf), ("highest", np.inf)))  # fmt: skip
+    lowest, highest = (np.broadcast_to(end, zero.shape) for end in (supply.lowest, supply.highest))
     beyond = (zero < lowest - 1e-9) | (zero > highest + 1e-9)
     if beyond.any():
         k = int(np.argmax(beyond))
