@@ -1,5 +1,6 @@
 """Scenarios: what comes with gelbot is sound, text and scenario say the same, and each kind of mistake is explained."""
 
+import re
 import tomllib
 from pathlib import Path
 
@@ -181,6 +182,16 @@ MISTAKES = [
     ("name=../elsewhere", "name", "'../elsewhere'", "letters"),
     ("supply=10", "supply", "10", "a table"),
 ]
+
+
+def test_what_must_follow_a_changed_period_is_told_at_once():
+    with pytest.raises(
+        BadInput, match=r"recording\.interval.*whole multiple of programme\.control_period = 3 s"
+    ) as refused:
+        load("turn-over", ["programme.control_period=3 s"])
+    followed = dict(re.findall(r'([a-z_.]+) = "([^"]+)"', refused.value.advice))
+    assert list(followed) == ["recording.interval", "recording.chunk", "simulation.duration"]
+    load("turn-over", ["programme.control_period=3 s", *(f"{key}={value}" for key, value in followed.items())])
 
 
 def with_body_in_tank(x: str) -> list[str]:

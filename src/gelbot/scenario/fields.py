@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -178,10 +179,23 @@ def written(value: Any) -> Any:
     return value if isinstance(value, str) else f"{float(value)!r} m"
 
 
-def check_multiple(key: str, value: float, of: str, base: float, unit: str = "s") -> None:
-    """Check that `value`, found at `key`, is a whole multiple (1, 2, ...) of `base`, which is the value of key `of`."""
-    ratio = value / base
-    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * max(1.0, ratio):
-        nearest = max(1, round(ratio)) * base
-        allowed = f"a whole multiple of {of} = {shown(base, unit)}"
-        raise wrong(key, shown(value, unit), allowed, f'"{shown(nearest, unit)}"')
+def check_multiples(values: Mapping[str, float], multiples: Mapping[str, str], unit: str = "s") -> None:
+    """Check that of `values` [unit], by key, those named in `multiples` are whole multiples (1, 2, ...) of the value of
+    the key that stands there; no key comes before the one that it is a multiple of.
+
+    Who changes the first in such a chain learns at once what else has to follow it.
+    """
+    fitting = dict(values)
+    for key, of in multiples.items():
+        ratio = values[key] / fitting[of]
+        if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * max(1.0, ratio):
+            fitting[key] = max(1, round(ratio)) * fitting[of]
+    changed = [key for key in multiples if fitting[key] != values[key]]
+    if changed:
+        first, of = changed[0], multiples[changed[0]]
+        allowed = f"a whole multiple of {of} = {shown(values[of], unit)}"
+        if len(changed) == 1:
+            advice = f'"{shown(fitting[first], unit)}"'
+        else:
+            advice = "all of " + ", ".join(f'{key} = "{shown(fitting[key], unit)}"' for key in changed)
+        raise wrong(first, shown(values[first], unit), allowed, advice)

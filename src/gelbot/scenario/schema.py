@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from gelbot.scenario.bench import Camera, Supply
 from gelbot.scenario.bodies import Body
 from gelbot.scenario.electrodes import Electrodes
-from gelbot.scenario.fields import Table, check_multiple, wrong
+from gelbot.scenario.fields import Table, check_multiples, wrong
 from gelbot.scenario.motions import Motion
 from gelbot.scenario.obstacle_shapes import AnyObstacle, CylinderObstacle
 from gelbot.scenario.placement import check_gel_is_clear, check_reach, check_tank, check_voltages
@@ -49,11 +49,7 @@ class Scenario(Table):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Scenario:
-        period, interval = self.programme.control_period, self.recording.interval
-        check_multiple("programme.control_period", period, "simulation.time_step", self.simulation.time_step)
-        check_multiple("recording.interval", interval, "programme.control_period", period)
-        check_multiple("recording.chunk", self.recording.chunk, "recording.interval", interval)
-        check_multiple("simulation.duration", self.simulation.duration, "recording.interval", interval)
+        self._check_times()
         self._check_wrap()
         self.supply.check_channels(self.electrodes.array.count)
         check_tank(self.electrodes, self.tank)
@@ -61,6 +57,22 @@ class Scenario(Table):
         check_reach(self.body, self.electrodes, self.tank)
         check_voltages(self.programme, self.electrodes, self.supply)
         return self
+
+    def _check_times(self) -> None:
+        times = {
+            "simulation.time_step": self.simulation.time_step,
+            "programme.control_period": self.programme.control_period,
+            "recording.interval": self.recording.interval,
+            "recording.chunk": self.recording.chunk,
+            "simulation.duration": self.simulation.duration,
+        }
+        multiples = {
+            "programme.control_period": "simulation.time_step",
+            "recording.interval": "programme.control_period",
+            "recording.chunk": "recording.interval",
+            "simulation.duration": "recording.interval",
+        }
+        check_multiples(times, multiples)
 
     def _check_wrap(self) -> None:
         has_rod = any(isinstance(obstacle, CylinderObstacle) for obstacle in self.obstacles)
