@@ -96,6 +96,18 @@ def test_a_stop_while_another_scenario_is_built(session):
     stands(session)
 
 
+def test_a_voltage_for_an_electrode_that_stands_no_longer(session):
+    session.change({"electrodes.columns": "3"})
+    session.set_voltage(15, 5.0)
+    session.set_pattern("ridge", 5.0)
+    wait(lambda: len(session.moment().asked) == 12 and session.moment().state == "ready")
+    time.sleep(0.1)
+    moment = session.moment()
+    assert moment.state == "ready", moment.message
+    assert not moment.asked.any()
+    runs(session)
+
+
 def test_a_stop_while_the_driver_changes(session, monkeypatch):
     runs(session)
     warmed = session._ready.warm

@@ -22,14 +22,14 @@ from numpy.typing import NDArray
 from gelbot.bench import Tick, drive
 from gelbot.clock import WallClock, be_in_time
 from gelbot.errors import BadInput, BenchStopped, GelbotError
+from gelbot.live import asked
 from gelbot.live.drivers import ByHand, Programmed
 from gelbot.live.keeping import Keeping
 from gelbot.live.moment import Moment, Stage, Ticks
-from gelbot.live.ready import HAND, OFFERED, SERVO, Ready, Source, make_ready, stage_of
+from gelbot.live.ready import HAND, SERVO, Ready, Source, make_ready, stage_of
 from gelbot.live.setups import Setup
 from gelbot.live.standing import Helm, Standing, seen_at
 from gelbot.live.twin import Twin
-from gelbot.plan.templates import template
 from gelbot.scenario.load import names
 
 Floats = NDArray[np.float64]
@@ -142,14 +142,8 @@ class Session:
 
     def change(self, changes: Mapping[str, str]) -> None:
         """Values of the scenario, by key."""
-        kept = {change.partition("=")[0]: change for change in self._ready.changes}
-        for key, value in changes.items():
-            if key.partition(".")[0] not in OFFERED:
-                raise BadInput(key, value, "a key of " + ", ".join(OFFERED))
-            kept[key] = f"{key}={value}"
-        source, stops = self._ready.source, self._stops
-        source.load(list(kept.values()))
-        self._do(lambda: self._rebuild(source, tuple(kept.values()), stops))
+        kept, source, stops = asked.changed(self._ready, changes), self._ready.source, self._stops
+        self._do(lambda: self._rebuild(source, kept, stops))
 
     def start(self) -> None:
         """Go, or go on."""
@@ -195,30 +189,20 @@ class Session:
     def set_voltage(self, electrode: int, volts: float) -> None:
         """By hand from now on: one electrode at `volts` [V]."""
         ready = self._ready
-        limit, states = ready.nominal.scenario.supply.limit, ready.nominal.scenario.electrodes.states
-        if not 0 <= electrode < len(states):
-            raise BadInput("electrode", electrode, f"a number from 0 to {len(states) - 1}")
-        if states[electrode] != "driven":
-            raise BadInput("electrode", electrode, f"an electrode that is driven: this one is {states[electrode]}")
-        _check_volts(volts, limit)
-        self._do(lambda: self._by_hand(lambda now: _with(now, electrode, volts)))
+        asked.check_electrode(ready, electrode, volts)
+        self._do(lambda: self._by_hand(ready, lambda now: _with(now, electrode, volts)))
 
     def set_pattern(self, pattern: str, amplitude: float) -> None:
         """By hand from now on: a named pattern with this amplitude [V]."""
         ready = self._ready
-        place = np.array(ready.nominal.scenario.place)
-        shares = template(pattern, ready.nominal.array, place, "pattern")
-        _check_volts(amplitude, ready.nominal.scenario.supply.limit)
-        driven = np.array([state == "driven" for state in ready.nominal.scenario.electrodes.states])
-        self._do(lambda: self._by_hand(lambda now: np.where(driven, amplitude * shares, 0.0)))
+        shaped = asked.pattern(ready, pattern, amplitude)
+        self._do(lambda: self._by_hand(ready, lambda now: shaped))
 
     def set_reference(self, height: float | None) -> None:
         """The servo follows this height [m]; None: its own reference again."""
-        if height is not None and not (np.isfinite(height) and 0.0 <= height <= 1.0):
-            raise BadInput("reference", height, "a height from 0 to 1 m")
-        if not isinstance(self._helm.driver, Programmed) and height is not None:
-            if SERVO not in self._ready.controllers:
-                raise BadInput("reference", height, "a scenario with a servo, [programme.servo]")
+        follows = isinstance(self._helm.driver, Programmed)
+        asked.check_reference(self._ready, height, follows)
+        if height is not None and not follows:
             self._do(lambda: self._seat(SERVO))
 
         def put() -> None:
@@ -229,9 +213,7 @@ class Session:
 
     def set_pace(self, pace: float | None) -> None:
         """Simulated seconds to one of the wall clock; None: as fast as it goes."""
-        # Slower than the wall clock its loop would be taken for one that has stalled.
-        if pace is not None and not (np.isfinite(pace) and pace >= 1.0):
-            raise BadInput("pace", pace, "1 or more, or none: as fast as it goes")
+        asked.check_pace(pace)
         self.setup.set_pace(pace)
 
     def record(self, wanted: bool) -> None:
@@ -442,7 +424,9 @@ class Session:
         finally:
             self._is_changing = False
 
-    def _by_hand(self, changed: Callable[[Floats], Floats]) -> None:
+    def _by_hand(self, ready: Ready, changed: Callable[[Floats], Floats]) -> None:
+        if ready is not self._ready:  # it was asked of electrodes that stand no longer
+            return
         driver = self._helm.driver
         if not isinstance(driver, ByHand):
             driver = ByHand(self._standing.count)
@@ -486,11 +470,6 @@ def _with(voltages: Floats, electrode: int, volts: float) -> Floats:
     voltages = voltages.copy()
     voltages[electrode] = volts
     return voltages
-
-
-def _check_volts(volts: float, limit: float) -> None:
-    if not (np.isfinite(volts) and abs(volts) <= limit):
-        raise BadInput("voltage", f"{volts:g} V", f"from {-limit:g} V to {limit:g} V, the supply's limit")
 
 
 def _words(error: Exception) -> str:
