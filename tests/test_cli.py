@@ -1,6 +1,7 @@
 """The command line: what it says, where, with which exit code, and that bad input writes nothing."""
 
 import json
+import signal
 import subprocess
 import sys
 import types
@@ -221,3 +222,34 @@ def test_words_alone_do_not_import_the_engine(words: list[str]):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("words", [["run", "turn-over"], ["live", "--no-browser"], ["directions", "turn-over"]])
+def test_ctrl_c_while_something_is_imported_ends_it_without_a_word(words: list[str]):
+    code = (
+        "import os, signal, sys\n"
+        "def press(event, given):\n"
+        "    if event == 'import' and given[0] == 'numpy.linalg':\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.addaudithook(press)\n"
+        "from gelbot.__main__ import main\n"
+        f"sys.argv = ['gelbot', *{words!r}]\n"
+        "main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "", "")
+    assert not list(Path().iterdir())
+
+
+def test_ctrl_c_while_something_is_computed_says_what_is_kept(tmp_path: Path):
+    code = (
+        "import signal, sys\n"
+        "from gelbot.cli.common import kept_in, stoppable\n"
+        "from pathlib import Path\n"
+        "signal.signal(signal.SIGINT, signal.SIG_DFL)\n"
+        "with stoppable():\n    pass\n"
+        "assert signal.getsignal(signal.SIGINT) == signal.SIG_DFL\n"
+        "with stoppable(kept_in(Path())):\n    signal.raise_signal(signal.SIGINT)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (130, "gelbot: stopped; what was computed is kept in .\n")

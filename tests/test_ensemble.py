@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import pickle
 import re
+import signal
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -23,7 +24,7 @@ import pytest
 import xarray as xr
 
 from gelbot.control.programme import play
-from gelbot.ensemble import Outcome, experiment_of, march_all, scenario_of
+from gelbot.ensemble import Outcome, experiment_of, march_all, scenario_of, workers
 from gelbot.errors import BadInput, GelbotError, SimulationFailed
 from gelbot.scenario import load
 from gelbot.scenario.build import Experiment, begun, build
@@ -190,6 +191,13 @@ def test_processes_compute_the_same_and_each_robot_once(dome: Loaded) -> None:
         assert_same_numbers(one, other)
         assert "position" not in other.frames
     assert np.ptp([one.summary["final_height_mm"] for one in alone]) > 1e-3
+
+
+def test_ctrl_c_is_the_parent_s_alone() -> None:
+    with workers(2) as pool:
+        blocked = {k: pool.submit(signal.pthread_sigmask, signal.SIG_BLOCK, ()).result() for k in range(8)}
+    assert all(signal.SIGINT in masked for masked in blocked.values())
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
 def test_robots_go_to_an_executor_that_is_given(dome: Loaded) -> None:

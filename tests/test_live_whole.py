@@ -140,7 +140,7 @@ def test_the_command_itself(browser, tmp_path, ends):
 
 def command(browser: Browser, folder: Path, ends: str) -> str:
     """Run it in `folder` until it is ended; what it said."""
-    words = [sys.executable, "-m", "gelbot.cli", "live", "turn-over", "--no-browser", "--port", "0", "--out", "live"]
+    words = [sys.executable, "-m", "gelbot", "live", "turn-over", "--no-browser", "--port", "0", "--out", "live"]
     for change in UNHURRIED:
         words += ["--set", change]
     with subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as program:

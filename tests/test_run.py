@@ -391,7 +391,7 @@ class TestFailures:
         before, rest = built_in_text("dome").split("[body]")
         rest = rest[rest.index("thickness") :].replace('mesh_size = "0.9 mm"', 'mesh_size = "5 mm"')
         (tmp_path / "mine.toml").write_text(f'{before}[body]\nshape = "outline"\npoints = [{points}]\n{rest}')
-        command = [sys.executable, "-m", "gelbot.cli", "run", "mine.toml", "--out", "out"]
+        command = [sys.executable, "-m", "gelbot", "run", "mine.toml", "--out", "out"]
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
         assert done.returncode == 2
         assert done.stdout == ""
@@ -444,7 +444,7 @@ class TestFailures:
     def test_a_killed_run_opens_up_to_its_last_chunk(self, tmp_path: Path):
         changes = [*COARSE, "simulation.duration=1 h", "recording.chunk=200 ms"]
         words = [word for change in changes for word in ("--set", change)]
-        command = [sys.executable, "-m", "gelbot.cli", "run", "turn-over", "--no-movie", "--out", "out", *words]
+        command = [sys.executable, "-m", "gelbot", "run", "turn-over", "--no-movie", "--out", "out", *words]
         store = tmp_path / "out" / "run.zarr"
         with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
             try:

@@ -654,7 +654,7 @@ class TestCommand:
 
 
 def command(*words: str) -> list[str]:
-    return [sys.executable, "-m", "gelbot.cli", "study", *words]
+    return [sys.executable, "-m", "gelbot", "study", *words]
 
 
 @pytest.mark.slow

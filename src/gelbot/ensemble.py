@@ -86,7 +86,27 @@ def march_all(
 def workers(processes: int) -> Iterator[Executor]:
     """As many processes that compute robots. The engine's threads do not survive a fork: each is started anew."""
     with ProcessPoolExecutor(processes, get_context("spawn"), _obey) as pool:
+        with _without_ctrl_c():
+            for _ in range(processes):  # it starts one for each task for which none is free
+                pool.submit(_nothing)
         yield pool
+
+
+@contextmanager
+def _without_ctrl_c() -> Iterator[None]:
+    """Ctrl-C comes at the end of it. A process that is started in here never hears it: not while it imports either."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _nothing() -> None:
+    """A task that takes a process to be done."""
 
 
 def _obey() -> None:

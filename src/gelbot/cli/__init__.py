@@ -9,10 +9,4 @@ from gelbot.cli import scenarios, run, field, study, plan, directions, live, cal
 
 from gelbot.cli.common import app
 
-
-def main() -> None:
-    """The command `gelbot`."""
-    app()
-
-
-__all__ = ["app", "main"]
+__all__ = ["app"]

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from gelbot.cli.common import app, plain_errors, print_json
+from gelbot.cli.common import app, plain_errors, print_json, stoppable
 from gelbot.errors import BadInput
 
 
@@ -60,7 +60,8 @@ def calibrate(
         if out.exists():
             raise BadInput("--out", str(out), "a file that does not exist yet", "another name")
         words = tuple(click or ()), apart, known, at, tuple(floor or ())
-        found = calibrate(Asked(source, view, azimuth, distance, elevation, board, square, *words), out)
+        with stoppable():
+            found = calibrate(Asked(source, view, azimuth, distance, elevation, board, square, *words), out)
     if as_json:
         print_json(as_table(found))
     else:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
+import signal
 import sys
+import threading
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -48,14 +52,39 @@ def plain_errors() -> Iterator[None]:
 def stoppable(kept: Callable[[], str] = lambda: "") -> Iterator[None]:
     """Say after Ctrl-C that it stopped, and what is `kept`, and leave at once.
 
-    All is written. The engine, stopped while it compiles, would crash when the interpreter takes it apart.
+    All is written. The engine, stopped while it compiles, would crash when the interpreter takes it apart. What takes
+    long to import is imported before: a package stopped there may take it for a fault of its own.
     """
+    with _ctrl_c_raises():
+        try:
+            yield
+        except KeyboardInterrupt as stop:
+            typer.echo(f"gelbot: stopped{kept()}", err=True)
+            sys.stderr.flush()
+            _let_go(stop)
+            os._exit(STOPPED)
+
+
+def _let_go(error: BaseException | None) -> None:
+    """Give back what the frames hold that an `error` came through: locks that processes share would be complained of
+    behind the prompt."""
+    while error is not None:
+        traceback.clear_frames(error.__traceback__)
+        error = error.__context__
+    gc.collect()
+
+
+@contextmanager
+def _ctrl_c_raises() -> Iterator[None]:
+    """Ctrl-C raises `KeyboardInterrupt` in here, where it would end the program at once."""
+    ends = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) == signal.SIG_DFL
+    if ends:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         yield
-    except KeyboardInterrupt:
-        typer.echo(f"gelbot: stopped{kept()}", err=True)
-        sys.stderr.flush()
-        os._exit(STOPPED)
+    finally:
+        if ends:
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def kept_in(folder: Path, mark: str = "") -> Callable[[], str]:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from gelbot.cli.common import app, folder_for, plain_errors
+from gelbot.cli.common import app, folder_for, plain_errors, stoppable
 
 
 @app.command()
@@ -43,7 +43,8 @@ def directions(
 
         chosen = subject(body, width, changes or [])
         folder = folder_for(out, "directions", chosen.name)
-        report = report_directions(chosen, folder, TOLERANCE if tolerance is None else tolerance, solved)
+        with stoppable():
+            report = report_directions(chosen, folder, TOLERANCE if tolerance is None else tolerance, solved)
     if as_json:
         from gelbot.record.json_text import as_text
 

@@ -55,10 +55,10 @@ def field(
         loaded = load(scenario, changes or [])
         folder = folder_for(out, "fields", loaded.scenario.name)
 
-        with stoppable(kept_in(folder, "field.json")):
-            from gelbot.field_report.asked import Request
-            from gelbot.field_report.report import report_field
+        from gelbot.field_report.asked import Request
+        from gelbot.field_report.report import report_field
 
+        with stoppable(kept_in(folder, "field.json")):
             request = Request(voltages, template, amplitude, tuple(planes or ()), points, gel_conductivity, run, time)
             report = report_field(loaded, request, folder, progress=not as_json)
     if as_json:

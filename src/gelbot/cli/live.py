@@ -54,25 +54,24 @@ def live(
     ] = None,
 ) -> None:
     """Drive a gel from the browser, with the simulator beside it; Ctrl-C ends it, the space bar stops it."""
-    # What is stopped while it is built has nothing to keep.
-    with plain_errors(), stoppable():
+    with plain_errors():
         from gelbot.live.command import Asked, live_bench
 
-        live_bench(
-            Asked(
-                scenario=scenario,
-                plant=plant,
-                changes=tuple(changes or ()),
-                real=tuple(real or ()),
-                controller=controller,
-                pace=pace,
-                seed=seed,
-                host=host,
-                port=port,
-                token=token,
-                browser=browser,
-                start=start,
-                out=out,
-            ),
-            typer.echo,
+        asked = Asked(
+            scenario=scenario,
+            plant=plant,
+            changes=tuple(changes or ()),
+            real=tuple(real or ()),
+            controller=controller,
+            pace=pace,
+            seed=seed,
+            host=host,
+            port=port,
+            token=token,
+            browser=browser,
+            start=start,
+            out=out,
         )
+        # What is stopped while it is built has nothing to keep.
+        with stoppable():
+            live_bench(asked, typer.echo)
