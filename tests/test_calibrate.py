@@ -4,6 +4,7 @@
 |---|---|
 | a rendered gel, two clicks on places that were projected | the calibration with which it was rendered |
 | a drawn checkerboard | the same |
+| lines drawn for a camera that leans | they lie where floor and uprights of the tank are seen |
 | a board to print | an SVG; never over a file |
 | wrong options | one line each, nothing written |
 """
@@ -11,6 +12,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -20,6 +22,7 @@ from typer.testing import CliRunner
 
 from command_line import refused
 from gelbot.cli import app
+from gelbot.hardware.calibrating import marked
 from gelbot.hardware.calibration import Calibration, load_calibration
 
 MM = 1e-3
@@ -80,6 +83,23 @@ def test_a_checkerboard(tmp_path, monkeypatch):
     found = json.loads(run("board.png", *words, "--json"))
     assert found["scale"] == pytest.approx(16e3, rel=2e-3)
     alike(Path("camera.toml"))
+
+
+@pytest.mark.parametrize(("elevation", "roll"), [(0.0, -3.0), (8.0, 5.0)])
+def test_the_lines_of_a_camera_that_leans_stand_in_the_tank(elevation, roll):
+    seen = replace(SEEN, elevation=np.radians(elevation), roll=np.radians(roll))
+    drawn = marked(np.full((480, 640), 180, np.uint8), seen, np.array(SEEN.place))
+    # The floor line, across the line of sight, and the upright one.
+    along = np.linspace(-12.0, 12.0, 25) * MM
+    across = np.array([14 * MM, 14 * MM, 0.0])[:, None] + along * np.array([1.0, 1.0, 0.0])[:, None] / np.sqrt(2.0)
+    upright = np.array([14 * MM, 14 * MM, 0.0])[:, None] + np.abs(along) * np.array([0.0, 0.0, 1.0])[:, None]
+    for line in (across, upright):
+        x, y = np.round(seen.project(line)).astype(int)
+        there = (x >= 1) & (x < 639) & (y >= 1) & (y < 479)
+        assert there.sum() > 10
+        for column, row in zip(x[there], y[there], strict=True):
+            near = drawn[row - 1 : row + 2, column - 1 : column + 2]
+            assert np.ptp(near.astype(int), axis=2).max() > 50, (column, row)
 
 
 def test_a_board_to_print(tmp_path, monkeypatch):

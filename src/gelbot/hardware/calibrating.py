@@ -101,10 +101,13 @@ def picture_of(source: str) -> NDArray[np.uint8]:
 
 
 def marked(picture: NDArray[np.uint8], calibration: Calibration, place: Floats) -> NDArray[np.uint8]:
-    """The picture with lines every `SPACE` about `place` [m] (3,): across the line of sight, from the floor up."""
+    """The picture with lines every `SPACE` about `place` [m] (3,): across the line of sight, from the floor up.
+
+    They are level and upright in the tank; in the picture of a camera that is rolled they lean as the tank does.
+    """
     cv2 = cv2_of("calibration")
     colour = picture.copy() if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
-    right, up = calibration.axes[:2]
+    right, up, _ = calibration.level_axes
     across = SPACE * np.arange(-MARKS, MARKS + 1)
     foot = place - place[2] * np.array([0.0, 0.0, 1.0]) if calibration.view == "side" else place
     rise = SPACE * np.arange(MARKS) if calibration.view == "side" else across

@@ -82,6 +82,11 @@ class Calibration:
         return np.array([np.cos(r) * right + np.sin(r) * up, np.cos(r) * up - np.sin(r) * right, towards])
 
     @property
+    def level_axes(self) -> Floats:
+        """`axes` of the same camera, neither rolled nor tilted: the tank's own directions, across its view."""
+        return replace(self, roll=0.0, elevation=0.0 if self.view == "side" else np.pi / 2.0).axes
+
+    @property
     def middle(self) -> Floats:
         """The pixel (2,) in the middle of the picture; pixel (0, 0) is the middle of the upper left one."""
         return np.array([(self.width - 1) / 2.0, (self.height - 1) / 2.0])
@@ -276,8 +281,8 @@ def from_checkerboard(
     grid = grid[:, ::-1] if grid[0, -1, 0] < grid[0, 0, 0] else grid
     grid = grid[::-1] if grid[-1, 0, 1] > grid[0, 0, 1] else grid
     rows, columns = np.mgrid[: grid.shape[0], : grid.shape[1]]
-    flat = replace(guess, roll=0.0, elevation=0.0 if guess.view == "side" else np.pi / 2.0).axes
-    points = first[:, None] + square * (flat[0][:, None] * columns.ravel() + flat[1][:, None] * rows.ravel())
+    right, up, _ = guess.level_axes
+    points = first[:, None] + square * (right[:, None] * columns.ravel() + up[:, None] * rows.ravel())
     pixels = grid.reshape(-1, 2).T
     span = float(np.linalg.norm(pixels[:, -1] - pixels[:, 0]) / np.linalg.norm(points[:, -1] - points[:, 0]))
     x, y, z = (float(v) for v in points.mean(axis=1))
