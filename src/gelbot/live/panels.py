@@ -12,6 +12,7 @@ import viser
 from gelbot.live.actions import Actions
 from gelbot.live.hand import Hand
 from gelbot.live.moment import Moment
+from gelbot.live.plates import FRAMES, SOLID
 from gelbot.live.scene import BESIDE, HIDDEN, OVERLAID
 from gelbot.live.shared import Permit, Rest, Shared, on_press
 from gelbot.live.view import MM, VIEWS
@@ -95,7 +96,9 @@ class Panel:
     def _by_hand(self) -> None:
         gui, hand, limit = self._gui, self._hand, self.stage.limit
         with self._keep(gui.add_folder("volts by hand")):
-            words = "Click a plate: the brush. Again: zero. Shift and drag: all plates inside."
+            words = (
+                "Click a plate: the brush; again: zero. Ctrl and drag: all plates passed. Shift and drag: all inside."
+            )
             gui.add_html(f'<div class="gelbot-hint">{words}</div>')
             brush = gui.add_slider("brush, V", -limit, limit, limit / 40.0, limit / 2.0)
             self.brush: Shared[float] = Shared(self._permit, brush)
@@ -131,6 +134,8 @@ class Panel:
             views.on_click(look)
             side = gui.add_dropdown("gel seen", (OVERLAID, BESIDE, HIDDEN), hint=f"From {self.stage.plant}")
             self.side: Shared[str] = Shared(self._permit, side)
+            plates = gui.add_dropdown("plates", (FRAMES, SOLID), hint="Frames let the gel below them be seen")
+            self.plates: Shared[str] = Shared(self._permit, plates)
             self.arrows: Shared[bool] = Shared(self._permit, gui.add_checkbox("current density", True))
             self.labels: Shared[bool] = Shared(self._permit, gui.add_checkbox("numbers and volts", True))
 
