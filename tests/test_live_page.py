@@ -876,6 +876,8 @@ def test_settings_wait_for_the_button_and_a_bad_one_changes_nothing(browser: Bro
         assert len(called(toy, "change")) == 1
         press(page, "build")
         until(lambda: served.page._panel.stage.settings["body.width"] == "20 mm", page=page)
+        # It stays open: there may be more to change.
+        until(lambda: field(page, "body.width").is_visible() and page.get_by_role("button", name="build").is_visible())
         page.get_by_text("scenario", exact=True).first.click()
     finally:
         page.close()

@@ -120,15 +120,16 @@ class Page:
         left.set_width(LEFT)
         server.scene.on_rect_select(modifier="shift")(self._paint_inside)  # pyright: ignore[reportArgumentType]
 
-    def _compose(self) -> None:
-        """Draw the stage and its controls."""
+    def _compose(self, is_built: bool = False) -> None:
+        """Draw the stage and its controls; `is_built`: it is the one before, changed."""
         self._scene = Scene(self._server.scene, self._stage)
         self._scene.plates.on_pointer(self._click, self._stroke)
         self._scene.reference.handle.on_update(self._drag)
         self._hand = Hand(self._actions, self._stage.control_period)
-        self._panel = Panel(self._server.gui, self._permit, self._actions, self._hand, self._rest, self._look)
+        gui = self._server.gui
+        self._panel = Panel(gui, self._permit, self._actions, self._hand, self._rest, self._look, is_built)
         with self._tab:
-            self._plots = Plots(self._server.gui, self._stage)
+            self._plots = Plots(gui, self._stage)
         first = view(self._stage, ALL)
         self._server.initial_camera.position, self._server.initial_camera.look_at = first.position, first.target
 
@@ -138,7 +139,7 @@ class Page:
         self._stage = stage
         for part in (self._plots, self._panel, self._scene):
             part.remove()
-        self._compose()
+        self._compose(not is_other)
         if is_other:
             for client in self._server.get_clients().values():
                 self._look(client, ALL)

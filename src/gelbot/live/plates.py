@@ -36,6 +36,10 @@ class Plates:
         self._look = FRAMES
         self._panes = [self._pane(k) for k in range(len(self.rims))]
         self._frames = [self._frame(k) for k in range(len(self.rims))]
+        if self.rims:
+            # All in one: each thing by itself takes a processor that draws some time.
+            edges = np.concatenate([loop(rim) for rim in self.rims])
+            scene.add_line_segments(f"{name}/rims", edges, (110, 110, 110), thickness=1.2, thickness_units="screen")
         self._volts = np.zeros((2, len(self.rims)))
         self._names = short(stage.electrode_names)
         self._labels = self._draw_labels(body(stage)[0])
@@ -96,9 +100,6 @@ class Plates:
 
     def _frame(self, number: int) -> viser.MeshHandle:
         rim = self.rims[number]
-        self._scene.add_line_segments(
-            f"{self._name}/rims/{number}", loop(rim), (110, 110, 110), thickness=1.2, thickness_units="screen"
-        )
         inner, here = inset(rim, FRAME), np.arange(rim.shape[1])
         on, count = (here + 1) % len(here), len(here)
         band = np.concatenate([np.stack([here, on, on + count]), np.stack([here, on + count, here + count])], axis=1)
