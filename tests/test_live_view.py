@@ -44,7 +44,7 @@ def test_all_points_are_in_the_picture_and_fill_it(rng, aspect, azimuth, elevati
     sides = np.stack([places.min(axis=1), 1.0 - places.max(axis=1)])
     # It touches two sides that lie opposite, equally.
     np.testing.assert_allclose(*sides[:, np.argmin(sides[0])], rtol=1e-6)
-    assert sides.min() == pytest.approx(0.065)
+    assert sides.min() == pytest.approx(0.06)
 
 
 @pytest.mark.parametrize("name", [ALL, ABOVE])

@@ -15,9 +15,9 @@ FIELD_OF_VIEW = np.radians(20.0)
 """Narrow, from far away: nearly as in the movie, where what is further off is not smaller."""
 AZIMUTH, ELEVATION = -60.0, 15.0
 """Of the view of the body [deg], as in the movie: low enough to see under the electrodes."""
-OVERLOOK = -72.0, 42.0
+OVERLOOK = -80.0, 44.0
 """Azimuth and elevation of the view of the tank [deg]: the rows of a grid stand apart, and a body is seen to rise."""
-ROOM = 0.87
+ROOM = 0.88
 """Of the picture, what is shown fills so much: beside it there are labels."""
 NARROW = 0.9
 """Breadth by height of a picture between the panels, in a window that is rather narrow."""
