@@ -760,6 +760,7 @@ def test_the_gel_is_seen_from_above(browser: Browser, toy: Toy, served: Served) 
         through = green()
         assert through > 25.0
         page.get_by_text("show", exact=True).click()
+        page.wait_for_timeout(500)  # what unfolds, moves
         choose(page, "plates", SOLID)
         until(lambda: green() < 0.5 * through, page=page)
         click_electrode(page, served, 6)
