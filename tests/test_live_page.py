@@ -771,6 +771,25 @@ def test_the_gel_is_seen_from_above(browser: Browser, toy: Toy, served: Served) 
 
 @in_browser
 @pytest.mark.slow
+def test_panes_have_their_colours_below_the_water(browser: Browser, toy: Toy, served: Served) -> None:
+    toy._now(given=np.full(16, 10.0), asked=np.full(16, 10.0))
+    page = open_page(browser, served.url, 1280, 720, sharp=1.0)
+    try:
+        # Those that no message covers, and not the one above the gel.
+        shown = {k: electrode_on_page(page, served, k) for k in (4, 5, *range(7, 16))}
+
+        def pale() -> list[int]:
+            picture = np.array(Image.open(BytesIO(page.screenshot())), np.float64)
+            return [k for k, (x, y) in shown.items() if np.ptp(picture[int(y), int(x), :3]) < 15.0]
+
+        page.wait_for_timeout(1000)
+        until(lambda: pale() == [], 15.0, page)
+    finally:
+        page.close()
+
+
+@in_browser
+@pytest.mark.slow
 def test_a_watcher_moves_nothing_and_stops_everything(browser: Browser, toy: Toy, served: Served) -> None:
     driver = open_page(browser, served.url)
     watcher = open_page(browser, served.url)

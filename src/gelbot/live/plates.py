@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gelbot.live import colours
 from gelbot.live.moment import Stage
-from gelbot.live.view import MM, body
+from gelbot.live.view import MM, body, spread
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ class Plates:
         self._scene, self._name, self._limit = scene, name, stage.limit
         self.rims: list[Floats] = [outline * MM for outline in stage.outlines]
         """The corners [mm] of each electrode's rim, (3, k)."""
-        self._look = FRAMES
+        self._look, self._between = FRAMES, _between(stage)
         self._panes = [self._pane(k) for k in range(len(self.rims))]
         self._frames = [self._frame(k) for k in range(len(self.rims))]
         if self.rims:
@@ -96,7 +96,10 @@ class Plates:
         around = np.arange(rim.shape[1])
         corners = np.concatenate([rim.mean(axis=1, keepdims=True), rim], axis=1).T
         fan = np.stack([np.zeros_like(around), 1 + around, 1 + (around + 1) % len(around)], axis=1)
-        return self._mesh(f"{self._name}/panes/{number}", corners, fan, OPACITY[self._look])
+        # What one sees through is drawn from far to near, by the middles of the boxes round it, and hides what comes
+        # later behind it. With corners that no face has, all panes come between the floor and the water's surface.
+        beyond = 2.0 * self._between - corners
+        return self._mesh(f"{self._name}/panes/{number}", np.concatenate([corners, beyond]), fan, OPACITY[self._look])
 
     def _frame(self, number: int) -> viser.MeshHandle:
         rim = self.rims[number]
@@ -123,6 +126,13 @@ class Plates:
             )
             for k, rim in enumerate(self.rims)
         ]  # fmt: skip
+
+
+def _between(stage: Stage) -> Floats:
+    """The middle (3,) of the tank, between its floor and the water's surface."""
+    low, high = spread(stage)
+    top = stage.water_height * MM
+    return np.array([*(0.5 * (low + high)), 0.5 * top if np.isfinite(top) else 1.0])
 
 
 def short(names: Sequence[str]) -> list[str]:

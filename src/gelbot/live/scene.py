@@ -11,7 +11,7 @@ from gelbot.live.between import Between
 from gelbot.live.moment import Moment, Seen, Stage
 from gelbot.live.plates import FRAMES, Plates, loop
 from gelbot.live.skin import Skin
-from gelbot.live.view import AZIMUTH, MM, body
+from gelbot.live.view import AZIMUTH, MM, body, spread
 from gelbot.show.style import ORANGE, PURPLE
 
 OVERLAID, BESIDE, HIDDEN = "overlaid", "side by side", "hidden"
@@ -66,8 +66,8 @@ class Scene:
 
     def _draw_tank(self) -> None:
         stage, scene = self.stage, self._scene
-        places = np.concatenate([*(o[:2] for o in stage.outlines), stage.rest[:2]], axis=1) * MM
-        low, high = places.min(axis=1) - 7.5, places.max(axis=1) + 7.5
+        low, high = spread(stage)
+        low, high = low - 7.5, high + 7.5
         width, height = np.ceil((high - low) / 10.0) * 10.0
         middle = 0.5 * (low + high)
         scene.add_grid(

@@ -77,6 +77,12 @@ def body(stage: Stage) -> tuple[NDArray[np.float64], float]:
     return 0.5 * (low + high), max(float(np.max((high - low)[:2])), 1e-3)
 
 
+def spread(stage: Stage) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """From where to where (2,) everything stands on the floor."""
+    places = np.concatenate([*(o[:2] for o in stage.outlines), stage.rest[:2]], axis=1) * MM
+    return places.min(axis=1), places.max(axis=1)
+
+
 def on_screen(camera: viser.CameraHandle, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Where a browser shows `points` (3, n): shares of the picture (2, n) from its upper left corner, NaN behind it."""
     w, x, y, z = camera.wxyz
