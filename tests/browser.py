@@ -6,15 +6,16 @@
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from playwright.sync_api import Browser, BrowserContext, Page, Playwright, sync_playwright
+import pytest
+from playwright.sync_api import Browser, BrowserContext, Locator, Page, Playwright, sync_playwright
 
 from gelbot.live.serve import Served
+from waiting import PATIENCE, until
 
 CHROMIUM = Path(os.environ.get("GELBOT_CHROMIUM", "/usr/bin/chromium"))
 FLAGS = (
@@ -22,8 +23,6 @@ FLAGS = (
     "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
     "--disable-gpu-compositing",
 )  # fmt: skip
-PATIENCE = 40.0
-"""Seconds in which what must come, comes: the first pictures take a processor a while."""
 BEHIND = 10
 """The niceness of browsers."""
 CANVAS = "canvas[data-engine]"
@@ -54,6 +53,15 @@ def launch(playwright: Playwright) -> Browser:
     return playwright.chromium.launch(executable_path=str(CHROMIUM), args=list(FLAGS))
 
 
+@pytest.fixture(scope="module", name="browser")
+def browser_fixture() -> Iterator[Browser]:
+    """A browser for all tests of a module that imports this."""
+    with playwright_behind() as playwright:
+        started = launch(playwright)
+        yield started
+        started.close()
+
+
 def open_page(
     context: Browser | BrowserContext, url: str, width: int = 1000, height: int = 700, sharp: float = 0.5
 ) -> Page:
@@ -80,21 +88,6 @@ def browser_page(url: str, width: int = 1000, height: int = 700, sharp: float = 
             browser.close()
 
 
-def until(what: Callable[[], Any], patience: float = PATIENCE, page: Page | None = None) -> Any:
-    """What `what` gives once it is true. Raises `AssertionError` when that takes longer than `patience` [s].
-
-    With a `page`, the page goes on meanwhile: it answers what it is asked only while somebody waits for it.
-    """
-    end = time.monotonic() + patience
-    while not (found := what()):
-        assert time.monotonic() < end, "it did not come"
-        if page is None:
-            time.sleep(0.02)
-        else:
-            page.wait_for_timeout(20)
-    return found
-
-
 def electrode_on_page(page: Page, served: Served, electrode: int, browser: int = 0) -> tuple[float, float]:
     """Where the middle of an electrode lies on the page [px]. `browser`: the page's number, from 0, as they came."""
     clients = served.page.browsers()
@@ -119,6 +112,28 @@ def click_electrode(page: Page, served: Served, electrode: int, browser: int = 0
     page.mouse.down()
     page.wait_for_timeout(30)
     page.mouse.up()
+
+
+def press(page: Page, label: str) -> None:
+    """Press the button with this label."""
+    page.get_by_role("button", name=label, exact=True).click()
+
+
+def field(page: Page, label: str) -> Locator:
+    """What stands beside a label. Not every one is tied to it."""
+    return page.locator(f'xpath=//label[normalize-space(.)="{label}"]/ancestor::div[.//input][1]//input').first
+
+
+def choose(page: Page, label: str, option: str) -> None:
+    """Choose one of the options beside a label."""
+    field(page, label).click()
+    page.get_by_role("option", name=option, exact=True).click()
+
+
+def write(page: Page, label: str, text: str) -> None:
+    """Write this into the field beside a label."""
+    field(page, label).fill(text)
+    page.wait_for_timeout(150)
 
 
 def picture(url: str, path: Path, width: int = 1400, height: int = 900, wait: float = 8.0, start: bool = False) -> Path:

@@ -9,41 +9,48 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from io import BytesIO
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 import viser
-from playwright.sync_api import Browser, Locator, Page
+from PIL import Image
+from playwright.sync_api import Browser, Page
 from viser import _messages as messages
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
-from browser import CANVAS, NO_BROWSER, click_electrode, electrode_on_page, launch, open_page, playwright_behind, until
+from browser import (
+    CANVAS,
+    NO_BROWSER,
+    browser_fixture,  # noqa: F401 - pytest finds it there, as "browser"
+    choose,
+    click_electrode,
+    electrode_on_page,
+    field,
+    open_page,
+    press,
+    write,
+)
 from gelbot.errors import BadInput, GelbotError
 from gelbot.live import colours, page, shared
 from gelbot.live.between import Between
-from gelbot.live.hand import Hand
+from gelbot.live.hand import SOON, Hand, wanted
+from gelbot.live.plates import FRAMES, OPACITY, SOLID, short
 from gelbot.live.plots import History
-from gelbot.live.scene import short
 from gelbot.live.seat import Seat
 from gelbot.live.serve import Served, serve
 from gelbot.live.shared import Errands, Rest
+from gelbot.live.view import on_screen
 from toy import SCENARIOS, Toy
+from waiting import until
 
 pytestmark = pytest.mark.realtime
 in_browser = pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER or "there is one")
 ELECTRODE = 15
 """One that stands in the first view."""
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with playwright_behind() as playwright:
-        started = launch(playwright)
-        yield started
-        started.close()
 
 
 @pytest.fixture
@@ -65,10 +72,6 @@ def called(toy: Toy, name: str) -> list[tuple[Any, ...]]:
 
 def asked(toy: Toy, page: Page, name: str, *what: object) -> bool:
     return bool(until(lambda: what in called(toy, name), page=page))
-
-
-def press(page: Page, label: str) -> None:
-    page.get_by_role("button", name=label, exact=True).click()
 
 
 class Piped(Toy):
@@ -139,12 +142,17 @@ def put(wire: ClientConnection, served: Served, label: str, value: object = True
 
 def click(wire: ClientConnection, electrode: int) -> None:
     ray = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
-    send(wire, messages.SceneNodeClickMessage(f"/stage/electrodes/{electrode}", None, *ray, (0.5, 0.5), None))
+    send(wire, messages.SceneNodeClickMessage(f"/stage/electrodes/panes/{electrode}", None, *ray, (0.5, 0.5), None))
 
 
 def drag(wire: ClientConnection) -> None:
     send(wire, messages.TransformControlsDragStartMessage("/reference"))
     send(wire, messages.TransformControlsUpdateMessage("/reference", (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 4.0)))
+
+
+def stroke(wire: ClientConnection, phase: Any, start: tuple[float, float], end: tuple[float, float]) -> None:
+    nowhere, name = (0.0, 0.0, 0.0), "/stage/electrodes/frames/0"
+    send(wire, messages.SceneNodeDragMessage(phase, name, None, nowhere, start, nowhere, end, "left", "cmd/ctrl"))
 
 
 def paint(wire: ClientConnection) -> None:
@@ -167,8 +175,9 @@ def paint(wire: ClientConnection) -> None:
         lambda wire, served: click(wire, 3),
         lambda wire, served: paint(wire),
         lambda wire, served: drag(wire),
+        lambda wire, served: stroke(wire, "start", (0.0, 0.0), (1.0, 1.0)),
     ],
-    ids=["start", "driver", "scenario", "height", "zero", "pattern", "build", "click", "rectangle", "handle"],
+    ids=["start", "driver", "scenario", "height", "zero", "pattern", "build", "click", "rectangle", "handle", "stroke"],
 )
 def test_the_stop_waits_for_nothing_that_was_asked_before(piped: Piped, shown: Served, what: Any) -> None:
     with plain_browser(shown) as wire:
@@ -197,6 +206,62 @@ def test_what_waited_when_the_stop_came_is_not_done(piped: Piped, shown: Served)
         # After it everything is done again.
         put(wire, shown, "reset", "reset")
         until(lambda: called(piped, "reset"), 5.0)
+
+
+def test_a_stroke_paints_each_plate_once(toy: Toy, served: Served) -> None:
+    with plain_browser(served) as wire, plain_browser(served) as watcher:
+        client = served.page.browsers()[0]
+        until(lambda: client.camera.update_timestamp, 5.0)
+        first, second, last = (tuple(served.page.places(client)[:, k].tolist()) for k in (0, 1, 3))
+        stroke(watcher, "start", first, last)
+        stroke(wire, "start", first, first)
+        until(lambda: called(toy, "set_voltage") == [(0, 5.0)], 5.0)
+        stroke(wire, "update", first, second)
+        stroke(wire, "update", first, first)
+        stroke(wire, "end", first, last)
+        until(lambda: called(toy, "set_voltage") == [(k, 5.0) for k in range(4)], 5.0)
+        # What goes on without having begun, paints nothing; another one paints anew.
+        stroke(wire, "update", first, last)
+        stroke(wire, "start", second, second)
+        until(lambda: len(called(toy, "set_voltage")) == 5, 5.0)
+        assert called(toy, "set_voltage")[-1] == (1, 5.0)
+
+
+def test_what_was_chosen_stays_where_the_same_stands_anew(toy: Toy, served: Served) -> None:
+    with plain_browser(served) as wire:
+        put(wire, served, "brush, V", 2.0)
+        put(wire, served, "body.width", "20 mm")
+        until(lambda: served.page._panel._texts["body.width"].value == "20 mm", 5.0)
+        same = toy._stage = replace(toy.stage(), rest=toy.stage().rest.copy())
+        until(lambda: served.page._stage is same, 5.0)
+        assert served.page._panel.brush.value == 2.0
+        assert served.page._panel._texts["body.width"].value == "20 mm"
+        toy._stage = replace(same, settings={**same.settings, "body.width": "18 mm"})
+        until(lambda: served.page._panel._texts["body.width"].value == "18 mm", 5.0)
+
+
+def test_several_values_that_need_each_other_go_together(toy: Toy, served: Served) -> None:
+    with plain_browser(served) as wire:
+        put(wire, served, "body.width", "wide")
+        put(wire, served, "electrodes.gap", "20 mm")
+        put(wire, served, "build")
+        until(lambda: called(toy, "change") == [({"body.width": "wide", "electrodes.gap": "20 mm"},)], 5.0)
+        until(lambda: (line := served.page._panel._error) is not None and line.visible, 5.0)
+        # What was refused stays written, and the rest is put right.
+        put(wire, served, "body.width", "20 mm")
+        put(wire, served, "build")
+        until(lambda: served.page._stage.settings == {"body.width": "20 mm", "electrodes.gap": "20 mm"}, 5.0)
+
+
+def test_plates_are_frames_or_solid(toy: Toy, served: Served) -> None:
+    with plain_browser(served) as wire:
+        panes = served.page._scene.plates._panes
+        assert {pane.opacity for pane in panes} == {OPACITY[FRAMES]}
+        put(wire, served, "plates", SOLID)
+        until(lambda: {pane.opacity for pane in panes} == {OPACITY[SOLID]}, 5.0)
+        click(wire, 3)
+        toy.start()
+        until(lambda: tuple(panes[3].color) == colours.of_volts(5.0, 10.0), 5.0)
 
 
 def test_what_is_asked_is_done_in_order_and_the_last_is_shown(piped: Piped, shown: Served) -> None:
@@ -481,20 +546,40 @@ def test_the_last_minute_is_kept_and_no_more() -> None:
     assert len(history.heights()[0]) == 2
 
 
-def test_volts_by_hand_are_remembered_until_a_tick_tells_of_them() -> None:
+def test_a_plate_is_switched_on_and_off_and_several_at_once() -> None:
     with Toy(camera=False) as toy:
-        hand = Hand(toy)
-        silent = replace(toy.moment(), state="ready", controller="by hand")
-        toy.moment = lambda: silent  # pyright: ignore[reportAttributeAccessIssue]
+        hand = Hand(toy, period=0.0)
         hand.toggle(3, 5.0)
-        assert hand.asked(silent)[3] == 5.0
+        time.sleep(SOON)
         hand.toggle(3, 5.0)
-        hand.put([1, 2], -4.0)
-        assert called(toy, "set_voltage") == [(3, 5.0), (3, 0.0), (1, -4.0), (2, -4.0)]
-        np.testing.assert_allclose(hand.asked(silent)[:4], [0.0, -4.0, -4.0, 0.0])
+        hand.put([1, 99, 2], -4.0)
+        assert called(toy, "set_voltage") == [(3, 5.0), (3, 0.0), (1, -4.0), (99, -4.0), (2, -4.0)]
+        np.testing.assert_allclose(wanted(toy.moment())[:4], [0.0, -4.0, -4.0, 0.0])
         with pytest.raises(BadInput, match="limit"):
-            hand.put([1], 99.0)
-        np.testing.assert_allclose(hand.asked(replace(silent, state="running")), 0.0)
+            hand.put([1, 2], 99.0)
+        # Where something else drives, a plate that has these volts has not got them by hand.
+        time.sleep(SOON)
+        toy._now(controller="servo")
+        hand.toggle(1, -4.0)
+        assert called(toy, "set_voltage")[-1] == (1, -4.0)
+        toy.emergency_stop("a test")
+        toy._now(asked=np.ones(16))
+        assert not wanted(toy.moment()).any()
+
+
+def test_a_second_click_before_the_session_has_told_of_the_first_switches_off() -> None:
+    with Toy(camera=False) as toy:
+        silent = replace(toy.moment(), state="running")
+        toy.moment = lambda: silent  # pyright: ignore[reportAttributeAccessIssue]
+        hand = Hand(toy, period=0.1)
+        hand.toggle(3, 5.0)
+        hand.toggle(3, 5.0)
+        assert called(toy, "set_voltage") == [(3, 5.0), (3, 0.0)]
+        # What it has not told in time, it has not done.
+        hand.toggle(3, 5.0)
+        time.sleep(0.1 + SOON)
+        hand.toggle(3, 5.0)
+        assert called(toy, "set_voltage")[2:] == [(3, 5.0), (3, 5.0)]
 
 
 def test_names_lose_what_they_share() -> None:
@@ -578,7 +663,7 @@ def test_a_rectangle_paints_the_plates_in_it(browser: Browser, toy: Toy, served:
         page.get_by_text("show", exact=True).click()
         press(page, "above")
         page.wait_for_timeout(1500)
-        corner, end = (electrode_on_page(page, served, k) for k in (0, 5))
+        corner, end = (electrode_on_page(page, served, k) for k in (8, 13))
         page.keyboard.down("Shift")
         page.mouse.move(corner[0] - 15, corner[1] - 15)
         page.mouse.down()
@@ -586,11 +671,119 @@ def test_a_rectangle_paints_the_plates_in_it(browser: Browser, toy: Toy, served:
         page.mouse.move(end[0] + 15, end[1] + 15, steps=4)
         page.mouse.up()
         page.keyboard.up("Shift")
-        for electrode in (0, 1, 4, 5):
+        for electrode in (8, 9, 12, 13):
             assert asked(toy, page, "set_voltage", electrode, 5.0)
-        assert {call[0] for call in called(toy, "set_voltage")} == {0, 1, 4, 5}
+        assert {call[0] for call in called(toy, "set_voltage")} == {8, 9, 12, 13}
         press(page, "all zero")
         until(lambda: (15, 0.0) in called(toy, "set_voltage"), page=page)
+    finally:
+        page.close()
+
+
+@in_browser
+@pytest.mark.slow
+def test_ctrl_and_drag_paint_the_plates_on_the_way(browser: Browser, toy: Toy, served: Served) -> None:
+    page = open_page(browser, served.url)
+    try:
+        before = served.page.browsers()[0].camera.position
+        places = [electrode_on_page(page, served, k) for k in (4, 6, 10)]
+        page.mouse.move(places[0][0] - 1, places[0][1])
+        page.wait_for_timeout(100)
+        page.mouse.move(*places[0])
+        page.keyboard.down("Control")
+        page.mouse.down()
+        for place in places[1:]:
+            page.mouse.move(*place, steps=6)
+            page.wait_for_timeout(100)
+        page.mouse.up()
+        page.keyboard.up("Control")
+        until(lambda: {call[0] for call in called(toy, "set_voltage")} == {4, 5, 6, 10}, page=page)
+        np.testing.assert_allclose(served.page.browsers()[0].camera.position, before)
+    finally:
+        page.close()
+
+
+@in_browser
+@pytest.mark.slow
+def test_all_plates_are_in_the_first_view_until_the_user_turns_it(browser: Browser, toy: Toy, served: Served) -> None:
+    page = open_page(browser, served.url, 1280, 720)
+    try:
+        client = served.page.browsers()[0]
+
+        def outer() -> Any:
+            """How far to the sides and up and down the plates go, as shares of the picture."""
+            rims = on_screen(client.camera, np.concatenate(served.page._scene.plates.rims, axis=1))
+            return rims.min(axis=1), rims.max(axis=1)
+
+        def is_filled() -> bool:
+            low, high = outer()
+            return bool((low > 0.03).all() and (high < 0.97).all() and (high - low).max() > 0.8)
+
+        for width, height in ((1280, 720), (1920, 1080), (800, 700)):
+            page.set_viewport_size({"width": width, "height": height})
+            electrode_on_page(page, served, 0)
+            until(is_filled, page=page)
+        # From here on it is the user's own.
+        box = page.locator(CANVAS).bounding_box()
+        assert box is not None
+        page.mouse.move(box["x"] + 20, box["y"] + box["height"] - 20)
+        page.wait_for_timeout(100)
+        page.mouse.down()
+        page.mouse.move(box["x"] + 80, box["y"] + box["height"] - 60, steps=6)
+        page.mouse.up()
+        page.wait_for_timeout(1500)
+        turned = client.camera.position
+        page.set_viewport_size({"width": 1280, "height": 720})
+        electrode_on_page(page, served, 0)
+        page.wait_for_timeout(500)
+        np.testing.assert_allclose(client.camera.position, turned, rtol=1e-3)
+    finally:
+        page.close()
+
+
+@in_browser
+@pytest.mark.slow
+def test_the_gel_is_seen_from_above(browser: Browser, toy: Toy, served: Served) -> None:
+    """One plate hangs over its middle: through its frame the gel is green, a solid one hides it."""
+    page = open_page(browser, served.url)
+    try:
+        toy._now(adsorption=np.full(toy.stage().faces.shape[1], 0.6))
+        served.page._look(served.page.browsers()[0], "above")
+        page.wait_for_timeout(1500)
+        x, y = electrode_on_page(page, served, 6)
+        clip: Any = {"x": x - 3, "y": y - 3, "width": 6, "height": 6}
+
+        def green() -> float:
+            picture = np.array(Image.open(BytesIO(page.screenshot(clip=clip))), np.float64)
+            return float((picture[..., 1] - picture[..., 2]).mean())
+
+        through = green()
+        assert through > 25.0
+        page.get_by_text("show", exact=True).click()
+        page.wait_for_timeout(500)  # what unfolds, moves
+        choose(page, "plates", SOLID)
+        until(lambda: green() < 0.5 * through, page=page)
+        click_electrode(page, served, 6)
+        assert asked(toy, page, "set_voltage", 6, 5.0)
+    finally:
+        page.close()
+
+
+@in_browser
+@pytest.mark.slow
+def test_panes_have_their_colours_below_the_water(browser: Browser, toy: Toy, served: Served) -> None:
+    toy._now(given=np.full(16, 10.0), asked=np.full(16, 10.0))
+    page = open_page(browser, served.url, 1280, 720, sharp=1.0)
+    try:
+        # Those that no message covers, and not the one above the gel.
+        shown = {k: electrode_on_page(page, served, k) for k in (4, 5, *range(7, 16))}
+
+        def pale() -> list[int]:
+            picture = np.array(Image.open(BytesIO(page.screenshot())), np.float64)
+            return [k for k, (x, y) in shown.items() if np.ptp(picture[int(y), int(x), :3]) < 15.0]
+
+        page.wait_for_timeout(1000)
+        until(lambda: pale() == [], 15.0, page)
     finally:
         page.close()
 
@@ -606,9 +799,9 @@ def test_a_watcher_moves_nothing_and_stops_everything(browser: Browser, toy: Toy
         assert asked(toy, driver, "start")
         click_electrode(watcher, served, ELECTRODE, browser=1)
         watcher.get_by_text("Browser 1 drives.", exact=True).wait_for()
-        _write(watcher, "height, mm", "2")
-        field = _field(watcher, "height, mm")
-        until(lambda: field.input_value() == "0", page=watcher)
+        write(watcher, "height, mm", "2")
+        height = field(watcher, "height, mm")
+        until(lambda: height.input_value() == "0", page=watcher)
         press(watcher, "pause")
         press(watcher, "take over")
         watcher.get_by_text("can hand over").wait_for()
@@ -660,7 +853,7 @@ def test_a_key_stops(browser: Browser, toy: Toy, served: Served, key: str, focus
     page = open_page(browser, served.url)
     try:
         if focus:
-            _field(page, focus).focus()
+            field(page, focus).focus()
         page.keyboard.press(key)
         assert asked(toy, page, "emergency_stop", "browser 1")
         page.wait_for_timeout(200)
@@ -691,18 +884,20 @@ def test_settings_wait_for_the_button_and_a_bad_one_changes_nothing(browser: Bro
     try:
         page.get_by_text("body and electrodes").click()
         stage = toy.stage()
-        _write(page, "body.width", "wide")
+        write(page, "body.width", "wide")
         press(page, "build")
         line = page.locator(".gelbot-error")
         line.wait_for()
         assert "body.width: got 'wide'; allowed: a length" in (line.text_content() or "")
         assert toy.stage() is stage
         assert called(toy, "change") == [({"body.width": "wide"},)]
-        _write(page, "body.width", "20 mm")
+        write(page, "body.width", "20 mm")
         page.wait_for_timeout(500)
         assert len(called(toy, "change")) == 1
         press(page, "build")
         until(lambda: served.page._panel.stage.settings["body.width"] == "20 mm", page=page)
+        # It stays open: there may be more to change.
+        until(lambda: field(page, "body.width").is_visible() and page.get_by_role("button", name="build").is_visible())
         page.get_by_text("scenario", exact=True).first.click()
     finally:
         page.close()
@@ -713,13 +908,13 @@ def test_settings_wait_for_the_button_and_a_bad_one_changes_nothing(browser: Bro
 def test_what_the_driver_chooses_arrives(browser: Browser, toy: Toy, served: Served) -> None:
     page = open_page(browser, served.url)
     try:
-        _choose(page, "driven by", "servo")
+        choose(page, "driven by", "servo")
         assert asked(toy, page, "drive_with", "servo")
-        _choose(page, "pace", "fastest")
+        choose(page, "pace", "fastest")
         assert asked(toy, page, "set_pace", None)
-        _field(page, "record").click()
+        field(page, "record").click()
         assert asked(toy, page, "record", True)
-        _write(page, "height, mm", "4")
+        write(page, "height, mm", "4")
         assert asked(toy, page, "set_reference", 4e-3)
         press(page, "as in the programme")
         assert asked(toy, page, "set_reference", None)
@@ -728,7 +923,7 @@ def test_what_the_driver_chooses_arrives(browser: Browser, toy: Toy, served: Ser
         press(page, "step")
         assert asked(toy, page, "step")
         page.get_by_text("scenario", exact=True).first.click()
-        _choose(page, "scenario", "lift")
+        choose(page, "scenario", "lift")
         assert asked(toy, page, "choose", "lift")
         until(lambda: served.page._panel.stage.name == "lift", page=page)
         click_electrode(page, served, ELECTRODE)
@@ -772,8 +967,6 @@ def test_the_reference_is_dragged(browser: Browser, toy: Toy, served: Served) ->
         until(lambda: served.page._scene.reference.handle.visible, page=page)
         page.wait_for_timeout(1000)
         client = served.page.browsers()[0]
-        from gelbot.live.view import on_screen
-
         foot = np.array(served.page._scene.reference.handle.position)[:, None]
         box = page.locator(CANVAS).bounding_box()
         assert box is not None
@@ -815,18 +1008,3 @@ def test_memory_and_threads_stand_still_while_browsers_come_and_go(browser: Brow
         threads.append(threading.active_count())
     assert kept[-1] <= kept[0] + 20
     assert threads[-1] <= threads[0] + 8
-
-
-def _field(page: Page, label: str) -> Locator:
-    """What stands beside a label. Not every one is tied to it."""
-    return page.locator(f'xpath=//label[normalize-space(.)="{label}"]/ancestor::div[.//input][1]//input').first
-
-
-def _choose(page: Page, label: str, option: str) -> None:
-    _field(page, label).click()
-    page.get_by_role("option", name=option, exact=True).click()
-
-
-def _write(page: Page, label: str, text: str) -> None:
-    _field(page, label).fill(text)
-    page.wait_for_timeout(150)

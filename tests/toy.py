@@ -120,6 +120,8 @@ class Toy:
         self.calls.append(("set_voltage", electrode, volts))
         if abs(volts) > LIMIT:
             raise BadInput("voltage", volts, f"at most {LIMIT:g} V either way, the supply's limit")
+        if not 0 <= electrode < ROWS**2:
+            raise BadInput("electrode", electrode, f"a number from 0 to {ROWS**2 - 1}")
         asked = self._moment.asked.copy()
         asked[electrode] = volts
         self._now(controller="by hand", asked=asked)

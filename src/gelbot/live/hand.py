@@ -1,4 +1,4 @@
-"""Volts by hand: what was asked of the session, also before a tick has carried it out."""
+"""Volts by hand: on and off by a click, on several electrodes at once."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from gelbot.live.actions import Actions
 from gelbot.live.moment import Moment
 
 HAND = "by hand"
-GRACE = 0.5
-"""Seconds that a session has to seat the hand where something else drove."""
+SOON = 0.05
+"""Seconds beyond a control period in which a session that turns has carried out what was asked of it."""
 SAME = 1e-6
 """Voltages that differ by less [V] are one."""
 
 
 class Hand:
-    """Sets voltages and remembers those that the session has not told of yet: while it stands still, no tick does."""
+    """Sets voltages of a session whose loop turns every `period` [s]."""
 
-    def __init__(self, actions: Actions) -> None:
-        self._actions = actions
-        self._put: dict[int, float] = {}
-        self._when = -GRACE
+    def __init__(self, actions: Actions, period: float) -> None:
+        self._actions, self._soon = actions, period + SOON
+        # A session does what it is asked between two ticks, and tells of it then: a second click may come before, and
+        # must not take the plate for one without volts.
+        self._put: dict[int, tuple[float, float]] = {}
 
     def put(self, electrodes: Iterable[int], volts: float) -> None:
         """These electrodes at `volts` [V]; those that refuse are left out. Raises `BadInput` when all of them do."""
@@ -36,30 +37,24 @@ class Hand:
             except BadInput as error:
                 refused = error
             else:
-                self._put[electrode], self._when, done = volts, time.monotonic(), True
+                self._put[electrode], done = (volts, time.monotonic()), True
         if refused is not None and not done:
             raise refused
 
     def toggle(self, electrode: int, volts: float) -> None:
         """This electrode at `volts` [V], or at zero if it has them."""
         moment = self._actions.moment()
-        has = moment.controller == HAND and abs(float(self.asked(moment)[electrode]) - volts) < SAME
-        self.put([electrode], 0.0 if has else volts)
+        told = float(wanted(moment)[electrode]) if moment.controller == HAND else np.nan
+        put, when = self._put.get(electrode, (told, -np.inf))
+        has = put if time.monotonic() - when < self._soon else told
+        self.put([electrode], 0.0 if abs(has - volts) < SAME else volts)
 
     def pattern(self, name: str, amplitude: float) -> None:
         """A named pattern with this amplitude [V]."""
         self._actions.set_pattern(name, amplitude)
         self._put.clear()
 
-    def asked(self, moment: Moment) -> NDArray[np.float64]:
-        """What the electrodes are to have [V], (e,)."""
-        if moment.state == "stopped":
-            return moment.given
-        is_new = time.monotonic() - self._when < GRACE
-        if moment.state == "running" or (moment.controller != HAND and not is_new):
-            self._put.clear()
-            return moment.asked
-        asked = moment.asked.copy()
-        for electrode, volts in list(self._put.items()):
-            asked[electrode] = volts
-        return asked
+
+def wanted(moment: Moment) -> NDArray[np.float64]:
+    """What the electrodes are to have [V], (e,): where everything was stopped, what they have."""
+    return moment.given if moment.state == "stopped" else moment.asked

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,17 @@ class Stage:
     control_period: float
     settings: dict[str, str]
     water_height: float = math.nan
+
+    def is_like(self, other: Stage) -> bool:
+        """Whether the other one looks the same: after a reset the same things stand anew."""
+        return all(_is_equal(getattr(self, part.name), getattr(other, part.name)) for part in fields(self))
+
+
+def _is_equal(one: Any, other: Any) -> bool:
+    if isinstance(one, tuple):
+        return len(one) == len(other) and all(_is_equal(a, b) for a, b in zip(one, other, strict=True))
+    is_number = isinstance(one, np.ndarray | float)
+    return np.array_equal(one, other, equal_nan=True) if is_number else bool(one == other)
 
 
 class Seen(NamedTuple):

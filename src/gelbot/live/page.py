@@ -17,15 +17,17 @@ from viser import _messages as messages
 from gelbot.errors import GelbotError
 from gelbot.live import look
 from gelbot.live.actions import Actions
-from gelbot.live.hand import Hand
+from gelbot.live.gaze import Gaze
+from gelbot.live.hand import Hand, wanted
 from gelbot.live.moment import Moment, Stage
 from gelbot.live.panels import Panel, status
 from gelbot.live.plots import Plots
-from gelbot.live.scene import Scene, on_each
+from gelbot.live.scene import Scene
 from gelbot.live.seat import Seat
 from gelbot.live.seats import Seats
 from gelbot.live.shared import Errands, Permit, Rest
-from gelbot.live.view import FIELD_OF_VIEW, MM, on_screen, view
+from gelbot.live.stroke import Strokes
+from gelbot.live.view import ALL, FIELD_OF_VIEW, MM, on_screen, view
 
 _log = logging.getLogger(__name__)
 
@@ -55,7 +57,7 @@ class Page:
         self._closing = False
         try:
             self._build_frame()
-            self._seats = Seats(self.seat)
+            self._seats, self._gaze, self._strokes = Seats(self.seat), Gaze(), Strokes()
             self._stage: Stage = actions.stage()
             self._compose()
         except BaseException:
@@ -85,7 +87,7 @@ class Page:
 
     def places(self, client: viser.ClientHandle) -> NDArray[np.float64]:
         """Where a browser shows the middles of the electrodes: shares of its picture from the upper left, (2, e)."""
-        return on_screen(client.camera, self._scene.centres())
+        return on_screen(client.camera, self._scene.plates.centres())
 
     def _build_frame(self) -> None:
         """What stays when the scenario changes."""
@@ -118,16 +120,17 @@ class Page:
         left.set_width(LEFT)
         server.scene.on_rect_select(modifier="shift")(self._paint_inside)  # pyright: ignore[reportArgumentType]
 
-    def _compose(self) -> None:
-        """Draw the stage and its controls."""
+    def _compose(self, is_built: bool = False) -> None:
+        """Draw the stage and its controls; `is_built`: it is the one before, changed."""
         self._scene = Scene(self._server.scene, self._stage)
-        on_each(self._scene.electrodes, self._click)
+        self._scene.plates.on_pointer(self._click, self._stroke)
         self._scene.reference.handle.on_update(self._drag)
-        self._hand = Hand(self._actions)
-        self._panel = Panel(self._server.gui, self._permit, self._actions, self._hand, self._rest, self._look)
+        self._hand = Hand(self._actions, self._stage.control_period)
+        gui = self._server.gui
+        self._panel = Panel(gui, self._permit, self._actions, self._hand, self._rest, self._look, is_built)
         with self._tab:
-            self._plots = Plots(self._server.gui, self._stage)
-        first = view(self._stage, "body")
+            self._plots = Plots(gui, self._stage)
+        first = view(self._stage, ALL)
         self._server.initial_camera.position, self._server.initial_camera.look_at = first.position, first.target
 
     def _recompose(self, stage: Stage) -> None:
@@ -136,10 +139,10 @@ class Page:
         self._stage = stage
         for part in (self._plots, self._panel, self._scene):
             part.remove()
-        self._compose()
+        self._compose(not is_other)
         if is_other:
             for client in self._server.get_clients().values():
-                self._look(client, "body")
+                self._look(client, ALL)
 
     def _loop(self) -> None:
         due, number, complained = time.perf_counter(), 0, ""
@@ -189,8 +192,11 @@ class Page:
     def _picture(self, number: int, shown: Moment | None) -> Moment:
         stage = self._actions.stage()
         if stage is not self._stage:
-            with self._server.atomic():
-                self._recompose(stage)
+            # Where nothing else stands, what was chosen and written on the page stays as it is.
+            if not stage.is_like(self._stage):
+                with self._server.atomic():
+                    self._recompose(stage)
+            self._stage = stage
         moment = self._actions.moment()
         self._rest.see(moment.state)
         if len(moment.given) == len(self._stage.outlines) and moment.positions.shape == self._stage.rest.shape:
@@ -204,21 +210,22 @@ class Page:
         if not self._server.get_clients():
             return
         scene, panel = self._scene, self._panel
-        scene.side, scene.show_arrows = panel.side.value, panel.arrows.value
+        scene.side, scene.look, scene.show_arrows = panel.side.value, panel.plates.value, panel.arrows.value
         with self._server.atomic():
-            self.pictures += scene.update(moment, self._hand.asked(moment), time.perf_counter()) > 0
+            self.pictures += scene.update(moment, wanted(moment), time.perf_counter()) > 0
         if number % SLOW["picture"] == 0:
             self._plots.show_picture(moment.picture)
         if number % SLOW["status"] == 0:
             self._status.content = status(moment)
             panel.update(moment)
-            scene.show_labels(panel.labels.value)
+            scene.plates.show_labels(panel.labels.value)
         if number % SLOW["plots"] == 0:
             self._plots.update()
 
     async def _come(self, client: viser.ClientHandle) -> None:
         self.seat.arrive(client.client_id)
         self._seats.seat_at(client)
+        self._gaze.follow(client, self._stage)
 
     async def _go(self, client: viser.ClientHandle) -> None:
         # The volts first, then the rest.
@@ -229,6 +236,8 @@ class Page:
             if not self._closing and not stands:
                 self._stop("the driving browser was closed")
         self._permit.forget(client.client_id)
+        self._gaze.forget(client.client_id)
+        self._strokes.end(client.client_id)
         self._seats.take_from(client)
 
     # In the server's own thread, which is kept free for it: nothing that was asked of the session stands before it.
@@ -247,6 +256,18 @@ class Page:
     def _click(self, electrode: int, client: viser.ClientHandle) -> None:
         """The brush's volts on a plate that was clicked, none on one that has them."""
         self._permit.do(client, partial(self._hand.toggle, electrode, self._panel.brush.value))
+
+    def _stroke(self, event: viser.SceneNodeDragEvent[viser.MeshHandle]) -> None:
+        """The brush's volts on all plates that the pointer passes over."""
+        client = event.client
+        if event.phase == "start":
+            self._strokes.begin(client.client_id, event.start_screen_pos)
+        rims = self._scene.plates.rims
+        passed = self._strokes.go_on(client.client_id, client.camera, rims, event.end_screen_pos)
+        if event.phase == "end":
+            self._strokes.end(client.client_id)
+        if passed:
+            self._permit.do(client, partial(self._hand.put, passed, self._panel.brush.value))
 
     async def _paint_inside(self, event: viser.SceneRectSelectEvent) -> None:
         """The brush's volts on all plates whose middle lies in the rectangle."""
@@ -276,7 +297,4 @@ class Page:
         )
 
     def _look(self, client: viser.ClientHandle, name: str) -> None:
-        seen = view(self._stage, name, client.camera.aspect)
-        with client.atomic():
-            client.camera.position, client.camera.look_at = seen.position, seen.target
-            client.camera.up_direction = (0.0, 0.0, 1.0)
+        self._gaze.look(client, self._stage, name)

@@ -12,6 +12,7 @@ import viser
 from gelbot.live.actions import Actions
 from gelbot.live.hand import Hand
 from gelbot.live.moment import Moment
+from gelbot.live.plates import FRAMES, SOLID
 from gelbot.live.scene import BESIDE, HIDDEN, OVERLAID
 from gelbot.live.shared import Permit, Rest, Shared, on_press
 from gelbot.live.view import MM, VIEWS
@@ -24,7 +25,7 @@ RUN = ("start", "pause", "step", "reset")
 class Panel:
     """The controls of one stage. What they do is done by `actions`, and `rest` knows of it.
 
-    `look` is told a browser and a view's name.
+    `look` is told a browser and a view's name. `is_built`: whether the stage is what these controls have built.
     """
 
     def __init__(
@@ -35,6 +36,7 @@ class Panel:
         hand: Hand,
         rest: Rest,
         look: Callable[[viser.ClientHandle, str], None],
+        is_built: bool = False,
     ) -> None:
         self._gui, self._permit, self._actions, self._hand, self._look = gui, permit, actions, hand, look
         self._rest = rest
@@ -46,7 +48,7 @@ class Panel:
         self._reference()
         self._show()
         self._scenario()
-        self._settings()
+        self._settings(is_built)
 
     def update(self, moment: Moment) -> None:
         """Show what the session says of things that the page did not ask for."""
@@ -95,7 +97,7 @@ class Panel:
     def _by_hand(self) -> None:
         gui, hand, limit = self._gui, self._hand, self.stage.limit
         with self._keep(gui.add_folder("volts by hand")):
-            words = "Click a plate: the brush. Again: zero. Shift and drag: all plates inside."
+            words = "Click a plate: the brush; again: zero. Ctrl and drag: all it passes. Shift and drag: all inside."
             gui.add_html(f'<div class="gelbot-hint">{words}</div>')
             brush = gui.add_slider("brush, V", -limit, limit, limit / 40.0, limit / 2.0)
             self.brush: Shared[float] = Shared(self._permit, brush)
@@ -131,6 +133,8 @@ class Panel:
             views.on_click(look)
             side = gui.add_dropdown("gel seen", (OVERLAID, BESIDE, HIDDEN), hint=f"From {self.stage.plant}")
             self.side: Shared[str] = Shared(self._permit, side)
+            plates = gui.add_dropdown("plates", (FRAMES, SOLID), hint="Frames let the gel below them be seen")
+            self.plates: Shared[str] = Shared(self._permit, plates)
             self.arrows: Shared[bool] = Shared(self._permit, gui.add_checkbox("current density", True))
             self.labels: Shared[bool] = Shared(self._permit, gui.add_checkbox("numbers and volts", True))
 
@@ -146,11 +150,11 @@ class Panel:
             )
             gui.add_html(f'<div class="gelbot-hint">{escape(" ".join(self.stage.description.split()))}</div>')
 
-    def _settings(self) -> None:
+    def _settings(self, is_open: bool) -> None:
         gui = self._gui
         if not self.stage.settings:
             return
-        with self._keep(gui.add_folder("body and electrodes", expand_by_default=False)):
+        with self._keep(gui.add_folder("body and electrodes", expand_by_default=is_open)):
             self._texts: dict[str, Shared[str]] = {
                 key: Shared(self._permit, gui.add_text(key, text)) for key, text in self.stage.settings.items()
             }

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
 import numpy as np
 import viser
 from numpy.typing import NDArray
@@ -11,15 +9,12 @@ from numpy.typing import NDArray
 from gelbot.live import colours
 from gelbot.live.between import Between
 from gelbot.live.moment import Moment, Seen, Stage
+from gelbot.live.plates import FRAMES, Plates, loop
 from gelbot.live.skin import Skin
-from gelbot.live.view import AZIMUTH, MM, body
+from gelbot.live.view import AZIMUTH, MM, body, spread
 from gelbot.show.style import ORANGE, PURPLE
 
-MOST_LABELS = 40
-"""Of more electrodes than these the numbers are left out: they would cover each other."""
 OVERLAID, BESIDE, HIDDEN = "overlaid", "side by side", "hidden"
-VISIBLE = 0.05
-"""Volts that are told."""
 CLOSE = 1e-3
 """A reference that moves by less [mm] is where it was."""
 
@@ -32,10 +27,7 @@ class Scene:
         self.middle, self.breadth = body(stage)
         self._root = scene.add_frame("/stage", show_axes=False)
         self._draw_tank()
-        self.electrodes = [self._electrode(k) for k in range(len(stage.outlines))]
-        self._volts = np.zeros((2, len(stage.outlines)))
-        self._names = short(stage.electrode_names)
-        self._labels = self._draw_labels()
+        self.plates = Plates(scene, "/stage/electrodes", stage)
         self._gel = scene.add_frame("/stage/gel", show_axes=False)
         self._skin, self._between = Skin(scene, "/stage/gel", stage.faces), Between()
         self._seen = _Skeleton(scene, "/stage/seen", self.breadth)
@@ -43,7 +35,7 @@ class Scene:
             "/stage/current", np.zeros((1, 2, 3)), colours.of_name(PURPLE), visible=False,
             shaft_radius=0.006 * self.breadth, head_radius=0.018 * self.breadth, head_length=0.05 * self.breadth,
         )  # fmt: skip
-        self.show_arrows, self.side = True, OVERLAID
+        self.show_arrows, self.side, self.look = True, OVERLAID, FRAMES
         self.reference = _Reference(scene, self.middle, self.breadth)
 
     def update(self, moment: Moment, asked: NDArray[np.float64], now: float) -> int:
@@ -52,7 +44,8 @@ class Scene:
         Returns how many meshes of the gel were sent.
         """
         sent = self._skin.update(self._between.positions(moment, now) * MM, moment.adsorption)
-        self._paint(moment.given, asked)
+        self.plates.paint(moment.given, asked)
+        self.plates.show(self.look)
         self._seen.update(moment.observed, self.side, self._offset())
         arrows = moment.arrows if self.show_arrows else moment.arrows[:0]
         if len(arrows):
@@ -60,15 +53,6 @@ class Scene:
         self._arrows.visible = len(arrows) > 0
         self.reference.update(moment.reference * MM)
         return sent
-
-    def show_labels(self, visible: bool) -> None:
-        """Numbers and volts at the electrodes."""
-        for label in self._labels:
-            label.visible = visible
-
-    def centres(self) -> NDArray[np.float64]:
-        """The middles of the electrodes [mm], (3, e)."""
-        return np.stack([o.mean(axis=1) * MM for o in self.stage.outlines], axis=1)
 
     def remove(self) -> None:
         """Take everything away."""
@@ -82,8 +66,8 @@ class Scene:
 
     def _draw_tank(self) -> None:
         stage, scene = self.stage, self._scene
-        places = np.concatenate([*(o[:2] for o in stage.outlines), stage.rest[:2]], axis=1) * MM
-        low, high = places.min(axis=1) - 7.5, places.max(axis=1) + 7.5
+        low, high = spread(stage)
+        low, high = low - 7.5, high + 7.5
         width, height = np.ceil((high - low) / 10.0) * 10.0
         middle = 0.5 * (low + high)
         scene.add_grid(
@@ -99,7 +83,7 @@ class Scene:
                 cast_shadow=False, receive_shadow=False, position=(middle[0], middle[1], top),
             )  # fmt: skip
             water.side = "double"
-            edge = _loop(np.array([[-1.0, 1.0, 1.0, -1.0], [-1.0, -1.0, 1.0, 1.0], [0.0] * 4]))
+            edge = loop(np.array([[-1.0, 1.0, 1.0, -1.0], [-1.0, -1.0, 1.0, 1.0], [0.0] * 4]))
             edge = edge * np.array([width / 2.0, height / 2.0, 1.0]) + np.array([*middle, top])
             scene.add_line_segments(
                 "/stage/water_edge", edge, colours.of_name("#9cc3da"), thickness=1.2, thickness_units="screen"
@@ -110,38 +94,6 @@ class Scene:
                 "/stage/obstacles", corners, np.arange(len(corners)).reshape(-1, 3), color=colours.STONE,
                 flat_shading=True, side="double",
             )  # fmt: skip
-
-    def _electrode(self, number: int) -> viser.MeshHandle:
-        rim = self.stage.outlines[number] * MM
-        around = np.arange(rim.shape[1])
-        corners = np.concatenate([rim.mean(axis=1, keepdims=True), rim], axis=1).T
-        fan = np.stack([np.zeros_like(around), 1 + around, 1 + (around + 1) % len(around)], axis=1)
-        self._scene.add_line_segments(
-            f"/stage/rims/{number}", _loop(rim), (110, 110, 110), thickness=1.2, thickness_units="screen"
-        )
-        return self._scene.add_mesh_simple(
-            f"/stage/electrodes/{number}", corners, fan, color=colours.of_volts(0.0, self.stage.limit), side="double",
-            flat_shading=True, opacity=0.88, cast_shadow=False, receive_shadow=False,
-        )  # fmt: skip
-
-    def _draw_labels(self) -> list[viser.LabelHandle]:
-        if not 0 < len(self.stage.outlines) <= MOST_LABELS:
-            return []
-        places = self.centres().T
-        return [
-            self._scene.add_label(
-                f"/stage/labels/{k}", name, position=tuple(place), anchor="center-center", font_screen_scale=0.8,
-            )
-            for k, (name, place) in enumerate(zip(self._names, places, strict=True))
-        ]  # fmt: skip
-
-    def _paint(self, given: NDArray[np.float64], asked: NDArray[np.float64]) -> None:
-        volts = np.stack([given, asked])
-        for k in np.flatnonzero(np.abs(volts - self._volts).max(axis=0) > 1e-3):
-            self.electrodes[k].color = colours.of_volts(given[k], self.stage.limit)
-            if self._labels:
-                self._labels[k].text = _label(self._names[k], given[k], asked[k])
-        self._volts = volts
 
 
 class _Skeleton:
@@ -216,7 +168,7 @@ class _Reference:
         )  # fmt: skip
         rim = 0.55 * breadth * np.array([[-1.0, 1.0, 1.0, -1.0], [-1.0, -1.0, 1.0, 1.0], [0.0] * 4])
         self._edge = scene.add_line_segments(
-            "/reference_pane/edge", _loop(rim), colours.of_name(ORANGE), thickness=1.5, thickness_units="screen"
+            "/reference_pane/edge", loop(rim), colours.of_name(ORANGE), thickness=1.5, thickness_units="screen"
         )
         self.dragged = False
         self._height = float("nan")
@@ -242,34 +194,3 @@ class _Reference:
         """Take it away."""
         self.handle.remove()
         self._pane.remove()
-
-
-def on_each(electrodes: list[viser.MeshHandle], clicked: Callable[[int, viser.ClientHandle], None]) -> None:
-    """Call `clicked` with the electrode's number and the browser."""
-    for number, electrode in enumerate(electrodes):
-
-        async def on_click(event: viser.SceneNodePointerEvent[viser.MeshHandle], number: int = number) -> None:
-            clicked(number, event.client)
-
-        electrode.on_click(on_click)
-
-
-def short(names: Sequence[str]) -> list[str]:
-    """The names without the words with which all of them begin: "electrode 3" is "3" beside "electrode 4"."""
-    words = [name.split(" ") for name in names]
-    same = 0
-    while len(words) > 1 and all(len(w) > same + 1 and w[same] == words[0][same] for w in words):
-        same += 1
-    return [" ".join(w[same:]) for w in words]
-
-
-def _loop(rim: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The edges (k, 2, 3) of a closed rim (3, k)."""
-    return np.stack([rim.T, np.roll(rim, -1, axis=1).T], axis=1)
-
-
-def _label(name: str, given: float, asked: float) -> str:
-    """An electrode's name and volts; in brackets those that it was asked to have and has not."""
-    if abs(asked - given) >= VISIBLE:
-        return f"{name}  {given:+.1f} V ({asked:+.1f})"
-    return f"{name}  {given:+.1f} V" if abs(given) >= VISIBLE else name
