@@ -46,6 +46,7 @@ from gelbot.live.setups import BenchSetup
 from gelbot.plants.simulated import Noise, SimulatedEye, SimulatedGel
 from gelbot.record.log import open_log
 from gelbot.scenario.build import Experiment
+from waiting import until
 
 WITHIN = 0.3
 """Zero volts at the latest after this long [s]."""
@@ -91,7 +92,7 @@ class Tank:
 
     def lives(self) -> None:
         """Wait until it gives voltages, and goes on to."""
-        wait(lambda: self.device.outputs().any() or self.session.moment().state == "stopped")
+        until(lambda: self.device.outputs().any() or self.session.moment().state == "stopped")
         time.sleep(0.3)
         self.on_time()
         assert self.session.moment().state == "running", self.session.moment().message
@@ -113,7 +114,7 @@ class Tank:
 
     def ended(self, says: str) -> None:
         """It has stopped, says why, and its log is whole up to that."""
-        wait(lambda: self.session.moment().state == "stopped")
+        until(lambda: self.session.moment().state == "stopped")
         time.sleep(0.1)
         assert not self.device.outputs().any()
         message = self.session.moment().message
@@ -131,13 +132,6 @@ class Tank:
         assert np.isfinite(read["voltage"].values).all()
         assert (np.diff(read["time"]) > 0.0).all()
         assert any(says in event.text for event in read.attrs["events"]), read.attrs["events"]
-
-
-def wait(until: Callable[[], bool], seconds: float = 60.0) -> None:
-    end = time.monotonic() + seconds
-    while not until():
-        assert time.monotonic() < end, "nothing happened"
-        time.sleep(0.002)
 
 
 class Busy(Exception):
@@ -314,7 +308,7 @@ def test_a_full_disk(tmp_path):
 
         try:
             assert tank.fault(fill) < WITHIN
-            wait(lambda: tank.session.moment().state == "stopped")
+            until(lambda: tank.session.moment().state == "stopped")
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
         assert tank.session.moment().message == f"{log} cannot be written: File too large"
@@ -342,7 +336,7 @@ def test_the_emergency_stop(tmp_path):
         assert tank.fault(lambda: tank.session.emergency_stop("the page")) < 0.15
         tank.ended("emergency stop: the page")
         tank.session.reset()
-        wait(lambda: tank.session.moment().state == "ready")
+        until(lambda: tank.session.moment().state == "ready")
         tank.runs()
 
 
@@ -358,7 +352,7 @@ def program(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], ServedDevic
             [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         ) as process:
             try:
-                wait(lambda: device.outputs().any() or process.poll() is not None, 120.0)
+                until(lambda: device.outputs().any() or process.poll() is not None, 120.0)
                 assert process.poll() is None, process.stderr.read() if process.stderr else ""
                 time.sleep(0.5)
                 yield process, device

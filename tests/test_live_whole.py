@@ -9,20 +9,26 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page
 
-from browser import CANVAS, NO_BROWSER, click_electrode, launch, open_page, playwright_behind, until
+from browser import (
+    CANVAS,
+    NO_BROWSER,
+    browser_fixture,  # noqa: F401 - pytest finds it there, as "browser"
+    click_electrode,
+    open_page,
+    press,
+)
 from gelbot.live.ready import Source
 from gelbot.live.serve import Served, serve
 from gelbot.live.session import Session
 from gelbot.live.setups import SimulatedSetup
 from gelbot.record.log import open_log
+from waiting import until
 
 pytestmark = [
     pytest.mark.slow,
@@ -35,18 +41,6 @@ UNHURRIED = [
     "recording.interval=500 ms",
     "recording.chunk=1 s",
 ]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with playwright_behind() as playwright:
-        started = launch(playwright)
-        yield started
-        started.close()
-
-
-def press(page: Page, label: str) -> None:
-    page.get_by_role("button", name=label, exact=True).click()
 
 
 def drawn(page: Page) -> bytes:
@@ -168,7 +162,5 @@ def command(browser: Browser, folder: Path, ends: str) -> str:
 
 
 def wait_for_event(folder: Path, says: str) -> None:
-    end, path = time.monotonic() + 40.0, folder / "live" / "bench.log"
-    while not (path.exists() and any(says in event.text for event in open_log(path).attrs["events"])):
-        assert time.monotonic() < end, "it was not told"
-        time.sleep(0.05)
+    path = folder / "live" / "bench.log"
+    until(lambda: path.exists() and any(says in event.text for event in open_log(path).attrs["events"]))

@@ -33,6 +33,7 @@ from gelbot.live.setups import BenchSetup, SimulatedSetup
 from gelbot.plants.build import soft_supply
 from gelbot.plants.simulated import Noise, SimulatedEye, SimulatedGel
 from gelbot.record.log import open_log
+from waiting import until
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 COARSE = ["body.mesh_size=1.8 mm"]
@@ -41,23 +42,16 @@ UNHURRIED = [*COARSE, f"programme.control_period={PERIOD}", f"recording.interval
 """A loop that a busy machine does not hold up for too long."""
 
 
-def wait(until, seconds: float = 180.0) -> None:
-    end = time.monotonic() + seconds
-    while not until():
-        assert time.monotonic() < end, "nothing happened"
-        time.sleep(0.002)
-
-
 def runs(session: Session) -> None:
     """Start it by hand, and wait until there are voltages; again where a busy machine held up the loop."""
     for _ in range(3):
         session.set_pattern("ridge", 5.0)
         session.start()
-        wait(lambda: session.moment().given.any() or session.moment().state == "stopped")
+        until(lambda: session.moment().given.any() or session.moment().state == "stopped")
         if session.moment().state != "stopped":
             return
         session.reset()
-        wait(lambda: session.moment().state == "ready")
+        until(lambda: session.moment().state == "ready")
     pytest.fail("the machine was busy three times")
 
 
@@ -71,7 +65,7 @@ def session(tmp_path):
 def stands(session: Session) -> None:
     """All that was asked for is done, and no electrode has a voltage."""
     time.sleep(1.0)
-    wait(lambda: session.moment().state not in ("building", "running"))
+    until(lambda: session.moment().state not in ("building", "running"))
     assert not session.setup.guard.given.any()
     assert session.setup.guard.reason is not None
     with pytest.raises(GelbotError, match="Press reset first"):
@@ -85,14 +79,14 @@ def test_a_stop_during_a_reset_is_not_lost_to_a_start_behind_it(session):
     session.emergency_stop("me")
     stands(session)
     session.reset()
-    wait(lambda: session.moment().state == "ready")
+    until(lambda: session.moment().state == "ready")
     runs(session)
 
 
 def test_a_stop_while_another_scenario_is_built(session):
     session.choose("dome")
     session.emergency_stop("me")
-    wait(lambda: session.stage().name == "dome")
+    until(lambda: session.stage().name == "dome")
     stands(session)
 
 
@@ -100,7 +94,7 @@ def test_a_voltage_for_an_electrode_that_stands_no_longer(session):
     session.change({"electrodes.columns": "3"})
     session.set_voltage(15, 5.0)
     session.set_pattern("ridge", 5.0)
-    wait(lambda: len(session.moment().asked) == 12 and session.moment().state == "ready")
+    until(lambda: len(session.moment().asked) == 12 and session.moment().state == "ready")
     time.sleep(0.1)
     moment = session.moment()
     assert moment.state == "ready", moment.message
@@ -113,7 +107,7 @@ def test_a_stop_while_the_driver_changes(session, monkeypatch):
     warmed = session._ready.warm
     monkeypatch.setattr(session._ready, "warm", lambda *which: (time.sleep(0.5), warmed(*which)))
     session.drive_with("planned")
-    wait(lambda: session._is_changing)
+    until(lambda: session._is_changing)
     # Whoever looks takes it for one that runs: a browser that is closed now stops it.
     assert session.moment().state == "running"
     session.emergency_stop("me")
@@ -141,7 +135,7 @@ def test_the_bench_keeps_its_own_limits(tmp_path):
     try:
         for name in ("dome", "turn-over"):
             session.choose(name)
-            wait(lambda name=name: session.stage().name == name and session.moment().state == "ready")
+            until(lambda name=name: session.stage().name == name and session.moment().state == "ready")
             assert session._ready.loaded.scenario.supply.current_limit == 0.1
             assert session.setup.guard.limits.current == 0.1
         for key in ("supply.limit", "camera.delay", "programme.control_period", "name"):
@@ -160,7 +154,7 @@ def test_what_cannot_be_built_leaves_what_stood(tmp_path):
             session.change({"body.width": "wide"})
         stage = session.stage()
         session.change({"body.pose.lift": "1 mm"})  # a length, but the rod is there
-        wait(lambda: "overlaps neither walls nor obstacles" in session.moment().message)
+        until(lambda: "overlaps neither walls nor obstacles" in session.moment().message)
         assert session.moment().state == "ready"
         assert session.stage().settings == stage.settings
     finally:
@@ -184,7 +178,7 @@ def test_a_supply_without_a_watchdog_is_told_of(tmp_path):
     try:
         assert "has no watchdog" in session.moment().message
         session.start()
-        wait(lambda: session.moment().number > 2)
+        until(lambda: session.moment().number > 2)
     finally:
         session.close()
     assert any("has no watchdog" in event.text for event in open_log(tmp_path / "live" / "bench.log").attrs["events"])
@@ -202,15 +196,15 @@ def test_a_supply_that_is_gone_at_a_reset(tmp_path):
     try:
         there[0] = False
         session.reset()
-        wait(lambda: session.moment().state == "stopped")
+        until(lambda: session.moment().state == "stopped")
         assert "it is gone" in session.moment().message
         with pytest.raises(GelbotError, match="Press reset first"):
             session.start()
         there[0] = True
         session.reset()
-        wait(lambda: session.moment().state == "ready")
+        until(lambda: session.moment().state == "ready")
         session.start()
-        wait(lambda: session.moment().number > 2)
+        until(lambda: session.moment().number > 2)
     finally:
         session.close()
 

@@ -20,7 +20,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -59,6 +58,7 @@ from gelbot.study.compare import compare
 from gelbot.study.report import report, table_of
 from gelbot.study.scatter import checked_spreads, draw, spreads
 from gelbot.study.statistics import clopper_pearson, mean_of, sign_test
+from waiting import until
 
 RUNS = 24
 SHORT = ('simulation.duration="1 s"', 'body.mesh_size="1.5 mm"', "electrodes.panels=6", "name=small-dome")
@@ -665,26 +665,19 @@ def test_a_study_that_is_killed_goes_on_to_the_same_bytes(file: Path, here: Exec
     folder = tmp_path / "killed"
     words = (str(file), "-n", str(runs), "--seed", "3", "--json", "--out", str(folder))
     with subprocess.Popen(command(*words), start_new_session=True, stdout=subprocess.PIPE) as process:
-        wait_for(lambda: any((folder / "batches").glob("*.json")) or process.poll() is not None)
+        until(lambda: any((folder / "batches").glob("*.json")) or process.poll() is not None, 300.0)
         process.send_signal(signal.SIGKILL)
     done = len(list((folder / "batches").glob("*.json")))
     assert 1 <= done < 6
     assert not (folder / "study.json").exists()
     # Its workers do not outlive it.
-    wait_for(lambda: not group_is_there(process.pid), 60.0)
+    until(lambda: not group_is_there(process.pid), 60.0)
     left = len(list((folder / "batches").glob("*.json")))
     assert left == done
     resumed = subprocess.run(command("--resume", str(folder), "--json"), capture_output=True, check=True)
     assert resumed.stdout == (sure / "study.json").read_bytes()
     assert content(folder) == content(sure)
     assert_whole(folder / "study.png")
-
-
-def wait_for(condition: Any, most: float = 300.0) -> None:
-    end = time.monotonic() + most
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 def group_is_there(group: int) -> bool:

@@ -36,6 +36,7 @@ from gelbot.live.setups import PlayedSetup, SimulatedSetup
 from gelbot.plants.build import guard_of
 from gelbot.plants.guarded import GuardedPlant
 from gelbot.plants.simulated import SimulatedGel
+from waiting import until
 
 pytestmark = pytest.mark.realtime
 UNHURRIED = [
@@ -45,13 +46,6 @@ UNHURRIED = [
     "recording.chunk=1 s",
 ]
 """A loop that a busy machine does not hold up for too long."""
-
-
-def wait(until, seconds: float = 180.0) -> None:
-    end = time.monotonic() + seconds
-    while not until():
-        assert time.monotonic() < end, "nothing happened"
-        time.sleep(0.01)
 
 
 @pytest.mark.slow
@@ -101,7 +95,7 @@ def test_a_session_with_a_rendered_camera(tmp_path):
     try:
         assert session.stage().has_camera
         session.start()
-        wait(lambda: session.moment().number > 6 or session.moment().state == "stopped")
+        until(lambda: session.moment().number > 6 or session.moment().state == "stopped")
         moment = session.moment()
     finally:
         session.close()
@@ -123,7 +117,7 @@ def test_a_recording_of_a_session_is_played(tmp_path):
                 session.set_pattern("ridge", 10.0)
             for count in range(1, 13):
                 session.step()
-                wait(lambda count=count: session.moment().number == count and session.moment().state == "paused")
+                until(lambda count=count: session.moment().number == count and session.moment().state == "paused")
             tick = session._last
             assert tick is not None
             return np.asarray(tick.seen.observation.centre), np.asarray(session._twin.gel.seen.centre)
@@ -140,7 +134,7 @@ def test_a_recording_of_a_session_is_played(tmp_path):
     session = Session(PlayedSetup(tmp_path / "live", None), Source("played", played.scenario_text), tmp_path / "end")
     try:
         session.start()
-        wait(lambda: session.moment().message == "the recording has ended")
+        until(lambda: session.moment().message == "the recording has ended")
         assert session.moment().state == "paused"
         assert 12 <= session.moment().number <= 14
     finally:

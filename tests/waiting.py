@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-PATIENCE = 40.0
+PATIENCE = 180.0
 """Seconds in which what must come, comes: a busy machine takes a while."""
 
 
