@@ -47,6 +47,8 @@ def simulated(p_ele: float) -> tuple[Any, Any]:
 
 
 def rows() -> list[dict[str, Any]]:
+    import cv2
+
     from gelbot.body.tips import tips_of
     from gelbot.hardware.calibration import Calibration
     from gelbot.hardware.habits import habits_of, together
@@ -55,6 +57,7 @@ def rows() -> list[dict[str, Any]]:
     from gelbot.hardware.tracking import Tracker, flat_pose
     from gelbot.hardware.umbrella import Mesh, umbrella_of
 
+    cv2.setNumThreads(1)
     experiment, (when, positions) = simulated(0.02)
     body, pose = experiment.body, experiment.scenario.body.pose
     side = np.where(body.nodes[2] > body.thickness / 2.0, 0.5, -0.5) * body.thickness
