@@ -317,17 +317,18 @@ def _prior(
     if known is None:
         blocks.append(np.eye(6 + d)[6:] / usual[:, None])
         aims.append(means / usual)
-    for m in range(ORDERS):
-        for matrix, deviation in ((even, e.uneven[m]), (mirrored, e.lopsided[m]))[known is not None :]:
+    for m in range(ORDERS if known is None else 0):
+        for matrix, deviation in ((even, e.uneven[m]), (mirrored, e.lopsided[m])):
             row = np.zeros((a, 6 + d))
             row[:, 6 + m * a : 6 + (m + 1) * a] = matrix / deviation
             blocks.append(row)
             aims.append(np.zeros(a))
-    row = np.zeros((a, 6 + d))
-    row[:, 6 + ORDERS * a : 6 + (ORDERS + 1) * a] = anti / e.lopsided_swing
-    blocks.append(row)
-    aims.append(np.zeros(a))
-    if known is not None:
+    if known is None:
+        row = np.zeros((a, 6 + d))
+        row[:, 6 + ORDERS * a : 6 + (ORDERS + 1) * a] = anti / e.lopsided_swing
+        blocks.append(row)
+        aims.append(np.zeros(a))
+    else:
         whitening = np.asarray(np.linalg.inv(np.linalg.cholesky(known.covariance)), np.float64)
         blocks.append(np.concatenate([whitening[:, :3], np.zeros((3 + d, 3)), whitening[:, 3:]], axis=1))
         aims.append(whitening @ known.mean)

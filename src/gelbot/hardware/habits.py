@@ -18,17 +18,15 @@ Floats = NDArray[np.float64]
 
 CELLS, CELL = (52, 30), 0.4e-3
 """Silhouettes are compared as pictures of so many cells (across, upwards) of this size [m]."""
-AREA_NEAR = 0.2e-6
-"""Area [m^2] by which silhouettes of a body differ that are nearly alike."""
-FEW = 24
+FEW = 16
 """So many examples, the most similar ones, are looked at closely."""
-TURN_NEAR = 0.5
-"""By how much a body may have turned about the line of sight between two looks [rad]: a standard deviation."""
 LEAST_TURN = (0.06, 0.06, 0.1)
 """What a real body may differ from the examples in its turn about the axes of the picture [rad]."""
 LEAST_SPREAD = (0.25, 0.35, 0.25)
 """What a real body may differ from the examples in its bends [rad], by their order: a standard deviation."""
 LEAST_SWING, LEAST_SHRINK = 0.08, 0.02
+LIKE_ITS_IMAGE = 0.08
+"""How far a point of a mesh may lie from the mirror image of another, as a share of the reach."""
 ITERATIONS = 8
 DAMPING = 0.03
 """Weight of a change of the numbers against a millimetre of a node: keeps what the nodes do not tell near the last."""
@@ -96,6 +94,56 @@ def together(*habits: Habits) -> Habits:
     return Habits(*(np.concatenate(values, axis=-1) for values in zip(*habits, strict=True)))
 
 
+def mirrored(sheet: Umbrella, habits: Habits, towards: Floats) -> Habits:
+    """The mirror images of the examples in the upright plane across the line of sight `towards` (3,), where they are.
+
+    A body has the same silhouette as its mirror image, and is as likely to lean towards the camera as away from it. A
+    sheet whose outline is not its own mirror image about an arm has no such images: they are none then.
+    """
+    level = towards * np.array([1.0, 1.0, 0.0])
+    level = level / max(float(np.linalg.norm(level)), 1e-12)
+    across = np.eye(3) - 2.0 * np.outer(level, level)
+    swaps = [swap for swap in (_swap(sheet, azimuth) for azimuth in sheet.azimuths) if swap is not None]
+    images = []
+    for k in range(habits.numbers.shape[1] if swaps else 0):
+        pose, a = habits.pose(k), sheet.tip_count
+        rotations = [across @ pose.rotation @ swap.flip for swap in swaps]
+        best = int(np.argmax([np.sum(rotation * pose.rotation) for rotation in rotations]))
+        flip, arms, points = swaps[best]
+        numbers = pose.numbers.copy()
+        numbers[: (ORDERS + 1) * a] = numbers[: (ORDERS + 1) * a].reshape(-1, a)[:, arms].ravel()
+        numbers[ORDERS * a : (ORDERS + 1) * a] *= -1.0
+        images.append(Pose(numbers, rotations[best], pose.centre, flip @ pose.rest[:, points]))
+    if not images:
+        return Habits(*(values[..., :0] for values in habits))
+    return Habits(*(np.stack(values, axis=-1) for values in zip(*images, strict=True)))
+
+
+class _Swap(NamedTuple):
+    """How a flat sheet is its own mirror image: the reflection `flip` (3, 3), and for each arm and for each point of
+    surface and marks the one that is in its place then, `arms` (a,), `points` (n + marks,)."""
+
+    flip: Floats
+    arms: NDArray[np.int64]
+    points: NDArray[np.int64]
+
+
+def _swap(sheet: Umbrella, azimuth: float) -> _Swap | None:
+    from scipy.spatial import KDTree
+
+    c, s = np.cos(2.0 * azimuth), np.sin(2.0 * azimuth)
+    flip = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, 1.0]])
+    away = (2.0 * azimuth - sheet.azimuths[:, None] - sheet.azimuths + np.pi) % (2.0 * np.pi) - np.pi
+    surface, marks = sheet.flat[:, sheet.foot], sheet.flat[:, sheet.mid_count :]
+    # Upper side, lower side and marks are kept apart by a height of their own.
+    height = np.concatenate([np.sign(sheet.side), np.zeros(sheet.mark_count)]) * sheet.reach
+    where = np.concatenate([np.concatenate([surface, marks], axis=1), height[None]])
+    apart, points = KDTree(where.T).query((flip @ where).T)
+    if np.abs(away).min(axis=1).max() > 0.02 or apart.max() > LIKE_ITS_IMAGE * sheet.reach:
+        return None
+    return _Swap(flip, np.argmin(np.abs(away), axis=1), np.asarray(points))
+
+
 def laid_through(sheet: Umbrella, positions: Floats, start: Pose) -> Pose:
     """The pose that brings the points of the surface nearest to `positions` [m] (3, n)."""
     pose, n = start, len(sheet.side)
@@ -144,42 +192,30 @@ def cells_of(mask: NDArray[np.uint8], pixels_per_metre: float) -> NDArray[np.flo
 
 class Likely(NamedTuple):
     """What the examples say: `mean` (3 + d,) and `covariance` of turn [rad] from the last pose about the axes of the
-    picture and of the numbers; the mean `rest` [m]; the `nearest` example, and by how much area [m^2] it `differs`."""
+    picture and of the numbers; the mean `rest` [m]."""
 
     mean: Floats
     covariance: Floats
     rest: Floats
-    nearest: int
-    differs: float
 
 
-def likely(
-    habits: Habits, cells: NDArray[np.float32], seen: NDArray[np.float32], last: Pose, axes: Floats, elapsed: float
-) -> Likely:
-    """What the examples with silhouettes `cells` (s, c) say of a body that is `seen` (c,), `elapsed` [s] after `last`.
-
-    `axes` (3, 3) of the picture, one a row.
-    """
+def differing(cells: NDArray[np.float32], seen: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Areas [m^2] (s,) by which silhouettes with `cells` (s, c) differ from the one that is `seen` (c,)."""
     # The squares of the examples alone are the same for each picture, but cheap.
-    differs = (np.einsum("sc,sc->s", cells, cells) - 2.0 * (cells @ seen) + seen @ seen) * CELL**2
-    few = np.argpartition(differs, min(FEW, len(differs) - 1))[:FEW]
-    differs = differs[few]
+    return (np.einsum("sc,sc->s", cells, cells) - 2.0 * (cells @ seen) + seen @ seen) * CELL**2
+
+
+def likely_of(habits: Habits, weight: NDArray[np.float32], last: Pose, axes: Floats) -> Likely:
+    """What the examples say of a body, each with its `weight` (s,), that was at the pose `last`. `axes` (3, 3) of the
+    picture, one a row."""
+    few = np.argpartition(-weight, min(FEW, len(weight) - 1))[:FEW]
+    share = np.asarray(weight[few], np.float64) / float(weight[few].sum())
     turns = np.stack([axes @ turn_between(last.rotation, habits.rotation[:, :, k]) for k in few], axis=1)
-    cost = differs / AREA_NEAR + 0.5 * np.sum(turns**2, axis=0) / (TURN_NEAR**2 * (1.0 + 10.0 * elapsed))
-    weight = np.exp(-(cost - cost.min()))
-    weight /= weight.sum()
     values = np.concatenate([turns, habits.numbers[:, few]])
-    mean = values @ weight
+    mean = values @ share
     away = values - mean[:, None]
     arms = (len(mean) - 5) // (ORDERS + 1)
     least = np.concatenate([
         LEAST_TURN, np.repeat(LEAST_SPREAD, arms), np.full(arms, LEAST_SWING), np.full(2, LEAST_SHRINK)
     ])  # fmt: skip
-    best = int(np.argmin(cost))
-    return Likely(
-        mean,
-        (away * weight) @ away.T + np.diag(least**2),
-        habits.rest[:, :, few] @ weight,
-        int(few[best]),
-        float(differs[best]),
-    )
+    return Likely(mean, (away * share) @ away.T + np.diag(least**2), habits.rest[:, :, few] @ share)

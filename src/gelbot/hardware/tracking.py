@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelbot.errors import BadInput
+from gelbot.hardware.belief import Kin, Thought, begun, doubt, kin_of, marks_of, thought
 from gelbot.hardware.calibration import Calibration
 from gelbot.hardware.fitting import Expected, Fit, draw, fit, supposed
-from gelbot.hardware.habits import Habits, Likely, cells_of, likely
+from gelbot.hardware.habits import Habits, Likely, cells_of, differing, likely_of, mirrored, together
 from gelbot.hardware.open_cv import cv2_of
 from gelbot.hardware.segment import Box, Pixels, Silhouette, background_of, silhouette
 from gelbot.hardware.umbrella import Pose, Umbrella
@@ -39,14 +40,19 @@ LEAST_AREA, MOST_AREA = 0.12, 1.5
 """Areas of a silhouette, as shares of the flat sheet's."""
 GROWTH = 1.6
 """By how much the area may change from one picture to the next."""
-SECOND_LOOK, DOUBT = 3, 1.2
-"""Every so many pictures, and at a misfit [px] above this, the search also begins from what resembles the body."""
+ITERATIONS, LOST_ITERATIONS = 4, 8
+"""Steps of the search that begins from what resembles the body; when it was lost."""
+DOUBT, FAR = 1.2, 0.6e-3
+"""At a misfit [px] above this, and where examples have the body's points so far [m] from the last, the search begins
+once more, from the last pose."""
 GAIN = 1.0
 """How much less such a pose must cost to be taken."""
 SURE = 0.3e-3
 """The standard deviation of a tip [m] at which its confidence is half of the body's."""
 USUAL_MISFIT = 0.6
 """Misfit [px] of a fit that is right; one that misses by more is trusted as much less."""
+SURE_TURN = 0.12
+"""The standard deviation of the normal [rad], of all that the body may be, at which its confidence is halved."""
 BARE = 0.35e-3
 """How far off a tip is, of an umbrella without examples of what it cannot do [m]: a standard deviation."""
 FROM_ABOVE = Expected(seen_turn=0.3, hidden_turn=1.2, hidden_move=5e-3)
@@ -77,7 +83,7 @@ class Tracked(NamedTuple):
 
 class State(NamedTuple):
     """Where the tracker stands: the last believed `pose`, `time` [s] and silhouette's `area` [px^2] and `box`; how many
-    `pictures` there were; whether the body is `lost`."""
+    `pictures` there were; whether the body is `lost`; `belief` (s,) in the examples, if there are any."""
 
     pose: Pose
     time: float
@@ -85,6 +91,7 @@ class State(NamedTuple):
     box: Box | None
     pictures: int
     lost: bool
+    belief: NDArray[np.float32] | None = None
 
 
 @dataclass(frozen=True)
@@ -102,6 +109,7 @@ class Scene:
     def cells(self) -> NDArray[np.float32]:
         """The silhouettes of the examples, (s, cells): drawn once, a millisecond each."""
         assert self.habits is not None
+        assert len(self.kin.points)  # whoever asks for these before the first picture wants no wait later
         drawn = [draw(self.sheet, self.calibration, self.habits.pose(k)) for k in range(self.habits.numbers.shape[1])]
         blank = np.zeros((1, 1), np.uint8)
         return np.stack([cells_of(blank if d is None else d.mask, self.calibration.scale) for d in drawn])
@@ -116,11 +124,21 @@ class Scene:
         z = np.cross(b - a, c - a, axis=0)[2] / 2.0
         return float(z[z > 0.0].sum()) * self.calibration.scale**2
 
-    def likely(self, seen: Silhouette, state: State, elapsed: float) -> Likely | None:
+    @cached_property
+    def kin(self) -> Kin:
+        """Which examples are near each other."""
+        assert self.habits is not None
+        return kin_of(self.sheet, self.habits)
+
+    def likely(self, seen: Silhouette, state: State, elapsed: float) -> tuple[Likely | None, Thought | None]:
+        """What the examples say of what is `seen`, and what is believed of them then."""
         if self.habits is None:
-            return None
-        cells = cells_of(seen.mask, self.calibration.scale)
-        return likely(self.habits, self.cells, cells, state.pose, self.calibration.axes, elapsed)
+            return None, None
+        belief = begun(self.kin, self.sheet, state.pose) if state.belief is None else state.belief
+        differs = differing(self.cells, cells_of(seen.mask, self.calibration.scale))
+        last = marks_of(self.sheet, state.pose)
+        thinks = thought(self.kin, belief, differs, last, elapsed)
+        return likely_of(self.habits, thinks.weight, state.pose, self.calibration.axes), thinks
 
 
 def flat_pose(sheet: Umbrella, place: tuple[float, float], heading: float) -> Pose:
@@ -135,9 +153,10 @@ def look(scene: Scene, state: State, pixels: Pixels, time: float) -> tuple[State
     elapsed = max(time - state.time, 1e-3)
     seen = _silhouette(scene, state, pixels)
     why = _unlike(scene, state, seen, elapsed)
-    found = None
+    found, thinks = None, None
     if seen is not None and not why:
-        found = _found(scene, state, seen, elapsed)
+        known, thinks = scene.likely(seen, state, elapsed)
+        found = _found(scene, state, seen, elapsed, known)
         why = _unbelievable(state, found, elapsed)
     state = state._replace(pictures=state.pictures + 1)
     outline = np.zeros((2, 0)) if seen is None else seen.edge[:, ::3]
@@ -148,9 +167,11 @@ def look(scene: Scene, state: State, pixels: Pixels, time: float) -> tuple[State
         return state._replace(lost=True), Tracked(time, *points, no, 0.0, True, outline, shown, why)
     points = scene.sheet.essential(found.pose)
     confidence = float(np.clip((found.overlap - 0.7) / 0.25, 0.0, 1.0) * np.exp(-((found.misfit / 4.0) ** 2)))
-    bare = BARE if scene.habits is None else 0.0
-    tips = confidence / (1.0 + (_tip_deviation(scene, found) ** 2 + bare**2) / SURE**2)
-    state = State(found.pose, time, seen.area, seen.box, state.pictures, False)
+    doubtful, turned = (BARE, 0.0) if thinks is None else doubt(scene.kin, thinks, scene.sheet.tip_count)
+    tips = confidence / (1.0 + (_tip_deviation(scene, found) ** 2 + doubtful**2) / SURE**2)
+    confidence /= 1.0 + (turned / SURE_TURN) ** 2
+    belief = None if thinks is None else thinks.belief
+    state = State(found.pose, time, seen.area, seen.box, state.pictures, False, belief)
     return state, Tracked(time, *points, tips, confidence, False, outline, found.drawn.edge)
 
 
@@ -183,18 +204,25 @@ def _unlike(scene: Scene, state: State, seen: Silhouette | None, elapsed: float)
     return ""
 
 
-def _found(scene: Scene, state: State, seen: Silhouette, elapsed: float) -> Fit | None:
-    known = scene.likely(seen, state, elapsed)
+def _found(scene: Scene, state: State, seen: Silhouette, elapsed: float, known: Likely | None) -> Fit | None:
+    """The sheet laid over what is seen: from where examples have it, or from the last pose if there are none or that is
+    better."""
     arguments = (scene.sheet, scene.calibration, seen)
-    best = fit(*arguments, state.pose, state.pose, elapsed, scene.expected, known)
-    doubtful = best is None or best.misfit > DOUBT or state.lost or state.pictures % SECOND_LOOK == 0
-    if doubtful:
-        guess = _moved_there(scene, state, seen) if known is None else supposed(*arguments, state.pose, known)
-        if guess is not None and (known is not None or state.lost):
-            other = fit(*arguments, guess, guess, elapsed, scene.expected, known, 8 if state.lost else 5)
-            if other is not None and (best is None or other.cost < best.cost - GAIN):
-                best = other
-    return best
+    guess = supposed(*arguments, state.pose, known) if known is not None else None
+    if guess is None and state.lost:
+        guess = _moved_there(scene, state, seen)
+    steps = LOST_ITERATIONS if state.lost else ITERATIONS
+    found = None if guess is None else fit(*arguments, guess, guess, elapsed, scene.expected, known, steps)
+    if found is None or guess is None or found.misfit > DOUBT or _far(scene.sheet, guess, state.pose):
+        other = fit(*arguments, state.pose, state.pose, elapsed, scene.expected, known)
+        if found is None or (other is not None and other.cost < found.cost - GAIN):
+            found = other
+    return found
+
+
+def _far(sheet: Umbrella, guess: Pose, last: Pose) -> bool:
+    """Whether the body would have moved so fast that it may be anywhere between examples."""
+    return float(np.sqrt(3.0 * np.mean((marks_of(sheet, guess) - marks_of(sheet, last)) ** 2))) > FAR
 
 
 def _moved_there(scene: Scene, state: State, seen: Silhouette) -> Pose | None:
@@ -255,6 +283,9 @@ class Tracker:
         a body moves, from `habits_of` simulated runs."""
         if expected is None:
             expected = Expected() if calibration.view == "side" else FROM_ABOVE
+        # From above a dome and a bowl look alike, but gravity tells them apart.
+        if habits is not None and calibration.view == "side":
+            habits = together(habits, mirrored(sheet, habits, calibration.axes[2]))
         blank = np.zeros((0, 0), np.float32)
         self.scene = Scene(sheet, calibration, blank if background is None else background, expected, habits)
         self.state: State | None = None if start is None else State(start, 0.0, 0.0, None, 0, False)
