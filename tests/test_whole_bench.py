@@ -57,7 +57,7 @@ def test_the_turn_over_by_the_reference_device_and_a_rendered_video():
     clock, patient = HandClock(), 3.0
     load = ready.nominal.field.conductance @ ready.nominal.connection
     with ServedDevice(ReferenceDevice(16, watchdog=patient, conductance=load)).start() as device:
-        supply = SerialSupply(device.port, watchdog=patient)
+        supply = SerialSupply(device.port, timeout=1.0, watchdog=patient)
         said: list[str] = []
         guard = guard_of(ready.nominal, supply, clock, said.append)
         gel = SimulatedGel(ready.real, device.outputs)
