@@ -58,6 +58,12 @@ def test_two_clicks(tmp_path, monkeypatch):
     said = run("picture.png", "--azimuth", "-45 deg", "--distance", "150 mm", *clicks, "--apart", "14 mm", *known)
     assert said.startswith("16 pixels per mm")
     alike(Path("camera.toml"))
+    before = Path("camera.toml").read_bytes()
+    again = ("calibrate", "picture.png", "--azimuth", "-45 deg", "--distance", "150 mm", *clicks, "--apart", "14 mm")
+    assert "--out: got 'camera.toml'; allowed: a file that does not exist yet" in refused(*again, *known)
+    assert Path("camera.toml").read_bytes() == before
+    # What else is wrong is told first.
+    assert "--apart: got nothing" in refused(*again[:-2])
     # Lines to look at are drawn where the tank is.
     drawn = cv2.imread("camera.png")
     assert drawn is not None
@@ -119,6 +125,8 @@ def test_a_board_to_print(tmp_path, monkeypatch):
         (("--click", "1,2", "--click", "300,2", "--apart", "3"), "a length with its unit"),
         (("--board", "nine"), "such as 9x6"),
         (("--board", "9x6"), "no board of 9 x 6 inner corners"),
+        (("--board", "9x6", "--square", "0 mm"), "--square: got '0 mm'"),
+        (("--board", "9x6", "--click", "1,2", "--click", "300,2"), "a checkerboard or clicks, one of them"),
         (("--view", "below"), "side or above"),
         (("--azimuth", "45"), "an angle with its unit"),
         (("--at", "1 mm, 2 mm", "--board", "9x6"), "x, y and z with units"),

@@ -27,7 +27,7 @@ import pytest
 
 from gelbot.errors import BadInput, GelbotError, SupplyFailed
 from gelbot.hardware.soft_supply import SoftSupply
-from gelbot.live.ready import Source
+from gelbot.live.ready import Source, make_ready
 from gelbot.live.session import Session
 from gelbot.live.setups import BenchSetup, SimulatedSetup
 from gelbot.plants.build import soft_supply
@@ -57,7 +57,9 @@ def runs(session: Session) -> None:
 
 @pytest.fixture
 def session(tmp_path):
-    made = Session(SimulatedSetup(), Source("turn-over"), tmp_path / "live", UNHURRIED)
+    made = Session(
+        SimulatedSetup(), Source("turn-over"), tmp_path / "live", UNHURRIED, elsewhere=lambda name: tmp_path / name
+    )
     yield made
     made.close()
 
@@ -88,6 +90,21 @@ def test_a_stop_while_another_scenario_is_built(session):
     session.emergency_stop("me")
     until(lambda: session.stage().name == "dome")
     stands(session)
+
+
+def test_another_scenario_has_a_folder_of_its_own_and_a_stop_is_news(session, tmp_path):
+    session.step()
+    until(lambda: session.moment().number == 1)
+    session.choose("dome")
+    until(lambda: session.stage().name == "dome" and session.moment().state == "ready")
+    session.step()
+    until(lambda: session.moment().number == 1)
+    session.news()
+    session.emergency_stop("me")
+    until(lambda: "stopped: emergency stop: me" in session.news())
+    assert open_log(tmp_path / "live" / "bench.log").attrs["scenario_name"] == "turn-over"
+    assert open_log(tmp_path / "dome" / "bench.log").attrs["scenario_name"] == "dome"
+    assert session.keeping.told() == f"; what was kept is in {tmp_path / 'live'}, {tmp_path / 'dome'}"
 
 
 def test_a_voltage_for_an_electrode_that_stands_no_longer(session):
@@ -207,6 +224,26 @@ def test_a_supply_that_is_gone_at_a_reset(tmp_path):
         until(lambda: session.moment().number > 2)
     finally:
         session.close()
+
+
+def test_a_camera_that_is_not_there_leaves_a_closed_supply_and_no_other_word(tmp_path):
+    opened: list[SoftSupply] = []
+    said: list[str] = []
+
+    def opens(ready, clock):
+        opened.append(soft_supply(ready.nominal, clock))
+        return opened[0]
+
+    def eye(ready, clock, tell):
+        raise BadInput("camera.background", "README.md", "a picture")
+
+    setup = BenchSetup(opens, eye)
+    with pytest.raises(BadInput, match=r"camera\.background"):
+        setup.begin(make_ready(Source("turn-over"), COARSE, ()), said.append, said.append)
+    setup.close()
+    assert not said
+    with pytest.raises(SupplyFailed, match="it was closed"):
+        opened[0].write(np.zeros(16))
 
 
 def test_a_bench_with_a_slow_loop_is_refused(tmp_path):

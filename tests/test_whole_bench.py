@@ -133,8 +133,14 @@ def test_a_recording_of_a_session_is_played(tmp_path):
     # To its end, and no further.
     session = Session(PlayedSetup(tmp_path / "live", None), Source("played", played.scenario_text), tmp_path / "end")
     try:
+        assert session.stage().controllers == ("recording",)
+        for act in (lambda: session.set_voltage(0, 5.0), lambda: session.drive_with("planned")):
+            with pytest.raises(BadInput, match="those of the recording that is played"):
+                act()
         session.start()
         until(lambda: session.moment().message == "the recording has ended")
+        np.testing.assert_array_equal(session.moment().asked, session.moment().given)
+        assert session.moment().controller == "recording"
         assert session.moment().state == "paused"
         assert 12 <= session.moment().number <= 14
     finally:

@@ -57,8 +57,6 @@ def calibrate(
             write_checkerboard(Path(source), corners_of(board or "9x6"), quantity(square, "m", "--square"))
             typer.echo(f"{source}: print it at 100 % and measure its 10 mm")
             return
-        if out.exists():
-            raise BadInput("--out", str(out), "a file that does not exist yet", "another name")
         words = tuple(click or ()), apart, known, at, tuple(floor or ())
         with stoppable():
             found = calibrate(Asked(source, view, azimuth, distance, elevation, board, square, *words), out)

@@ -57,6 +57,12 @@ def calibrate(asked: Asked, out: Path) -> Calibration:
     if asked.board is not None:
         guess = Calibration(view, azimuth, elevation, 0.0, (0.0, 0.0, 0.0), distance, 1e4, 0.0, width, height)
         square = quantity(asked.square, "m", "--square")
+        if not square > 0.0:
+            raise BadInput("--square", asked.square, "the side of a square, above 0 mm", "2 mm")
+        if asked.clicks:
+            raise BadInput(
+                "--click", " ".join(asked.clicks), "a checkerboard or clicks, one of them", "without --board"
+            )
         found = from_checkerboard(picture, corners_of(asked.board), square, place, guess)
     else:
         pair = _pixels(
@@ -73,6 +79,8 @@ def calibrate(asked: Asked, out: Path) -> Calibration:
         apart = quantity(asked.apart, "m", "--apart")
         size = (width, height)
         found = from_clicks(view, azimuth, size, pair, apart, known[:, 0], place, floor, elevation, distance)
+    if out.exists():
+        raise BadInput("--out", str(out), "a file that does not exist yet", "another name")
     found.save(out)
     cv2_of("calibration").imwrite(str(out.with_suffix(".png")), marked(picture, found, place))
     return found

@@ -56,6 +56,12 @@ def check_reference(ready: Ready, height: float | None, driver_follows: bool) ->
         raise BadInput("reference", height, "a scenario with a servo, [programme.servo]")
 
 
+def check_free_to_drive(is_played: bool) -> None:
+    """Not where a recording is played."""
+    if is_played:
+        raise BadInput("voltages", "others", "those of the recording that is played, and nothing else")
+
+
 def check_pace(pace: float | None) -> None:
     """Simulated seconds to one of the wall clock; None: as fast as it goes."""
     # Slower than the wall clock its loop would be taken for one that has stalled.

@@ -10,6 +10,7 @@ import time
 import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from threading import Event, Thread
 from types import FrameType
@@ -69,7 +70,8 @@ def live_bench(asked: Asked, say: Callable[[str], None]) -> None:
         name = scenario.name
         folder = free_folder(Path("live"), name) if asked.out is None else checked_folder(asked.out)
         say("building the bench")
-        session = Session(setup, source, folder, asked.changes, asked.real, say)
+        elsewhere = None if asked.out is not None else partial(free_folder, Path("live"))
+        session = Session(setup, source, folder, asked.changes, asked.real, say, elsewhere)
         over.is_late = True
         try:
             if asked.controller is not None:
@@ -84,6 +86,8 @@ def live_bench(asked: Asked, say: Callable[[str], None]) -> None:
 def _serve(session: Session, address: str, asked: Asked, over: Over, say: Callable[[str], None]) -> None:
     """Until it is `over`; then zero volts, before the page is closed, which takes its time."""
     try:
+        for text in session.news():
+            say(text)
         say(f"{session.setup.words}: the bench is at {address}")
         say("emergency stop: the red button, or the space bar, here or there; Ctrl-C ends it")
         with keyboard(lambda: session.emergency_stop("the keyboard")):
@@ -96,6 +100,9 @@ def _serve(session: Session, address: str, asked: Asked, over: Over, say: Callab
                 if over.is_held:
                     over.is_held = False
                     session.emergency_stop("Ctrl-Z")
+                # Here, and not where it happens: a terminal that is held up must hold up nothing else.
+                for text in session.news():
+                    say(text)
                 time.sleep(LOOK)
     finally:
         session.halt("the program was ended")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
@@ -30,10 +31,12 @@ LOG = "bench.log"
 
 class Keeping:
     """The files of a session, in `folder`: bench.log, bench-2.log, ... one for each beginning that was started;
-    run.zarr, run-2.zarr, ... one for each recording. `recording`: whether one is being made."""
+    run.zarr, run-2.zarr, ... one for each recording. `recording`: whether one is being made. What is kept of another
+    scenario than the first goes `elsewhere`, into the folder for its name, if that is given."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, elsewhere: Callable[[str], Path] | None = None) -> None:
         self.folder, self.recording = folder, False
+        self._elsewhere, self._folders = elsewhere, dict[str, Path]()
         self._log: BenchLog | None = None
         self._ready: Ready | None = None
         self._plant = ""
@@ -44,6 +47,11 @@ class Keeping:
         """A new beginning: its log is made when it is started."""
         self.close()
         self._ready, self._plant = ready, plant
+        name = ready.loaded.scenario.name
+        if name not in self._folders:
+            is_other = bool(self._folders)
+            self._folders[name] = self._elsewhere(name) if is_other and self._elsewhere is not None else self.folder
+        self.folder = self._folders[name]
 
     def open(self) -> None:
         """The log of this beginning, where it is not there yet. Raises `OSError`."""
@@ -117,7 +125,8 @@ class Keeping:
 
     def told(self) -> str:
         """Where the files are, in words; nothing where there are none."""
-        return f"; what was kept is in {self.folder}" if self.folder.exists() else ""
+        kept = dict.fromkeys(str(folder) for folder in self._folders.values() if folder.exists())
+        return "; what was kept is in " + ", ".join(kept) if kept else ""
 
     def close(self) -> None:
         """End what is being kept."""

@@ -27,6 +27,8 @@ from gelbot.scenario.overrides import override_keys, with_overrides
 
 DRIVERS = HAND, PROGRAMME, SERVO, PLANNED, PREDICTIVE = "by hand", "programme", "servo", "planned", "predictive"
 """Who can drive. The servo lifts the gel with the first phase's pattern, to a height that can be dragged."""
+RECORDED = "recording"
+"""Who drives where a recording is played."""
 OFFERED = ("body", "electrodes", "material", "solution")
 """The tables of a scenario whose single values the page offers to change."""
 WARMING = 3
@@ -125,8 +127,8 @@ def _was_planned(loaded: Loaded) -> bool:
     return True
 
 
-def stage_of(ready: Ready, plant: str, has_camera: bool) -> Stage:
-    """What the page shows of it."""
+def stage_of(ready: Ready, plant: str, has_camera: bool, drivers: tuple[str, ...]) -> Stage:
+    """What the page shows of it; `drivers` may be chosen."""
     experiment = ready.nominal
     scenario = experiment.scenario
     corners = outlines(experiment.array)
@@ -141,7 +143,7 @@ def stage_of(ready: Ready, plant: str, has_camera: bool) -> Stage:
         floor_depth=scenario.tank.floor_depth,
         obstacles=np.asarray(obstacle_triangles(scenario.obstacles)).transpose(2, 1, 0),
         patterns=tuple(name for name in TEMPLATES if name != "off"),
-        controllers=ready.controllers,
+        controllers=drivers,
         plant=plant,
         has_camera=has_camera,
         control_period=scenario.programme.control_period,

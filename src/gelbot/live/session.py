@@ -26,7 +26,7 @@ from gelbot.live import asked
 from gelbot.live.drivers import ByHand, Programmed
 from gelbot.live.keeping import Keeping
 from gelbot.live.moment import Moment, Stage, Ticks
-from gelbot.live.ready import HAND, SERVO, Ready, Source, make_ready, stage_of
+from gelbot.live.ready import HAND, RECORDED, SERVO, Ready, Source, make_ready, stage_of
 from gelbot.live.setups import Setup
 from gelbot.live.standing import Helm, Standing, seen_at
 from gelbot.live.twin import Twin
@@ -49,8 +49,8 @@ class Session:
     """A `setup` under a scenario; see `live.actions.Actions` for what a user can do.
 
     `real`: how the simulated gel differs from the scenario that its controllers know, key=value. `folder` takes logs
-    and recordings; `say` is told what is done while it is built. Made, it has built everything and waits at the
-    beginning; `close` ends it. Raises `BadInput`.
+    and recordings, `elsewhere` is the folder for those of another scenario; `say` is told what is done while it is
+    built. Made, it has built everything and waits at the beginning; `close` ends it. Raises `BadInput`.
     """
 
     def __init__(
@@ -61,6 +61,7 @@ class Session:
         changes: Sequence[str] = (),
         real: Sequence[str] = (),
         say: Callable[[str], None] = lambda text: None,
+        elsewhere: Callable[[str], Path] | None = None,
     ) -> None:
         self.setup, self.message, self._say = setup, "", say
         self._real, self._commands = tuple(real), SimpleQueue[Callable[[], None]]()
@@ -78,7 +79,8 @@ class Session:
         self._fixed = tuple(change for change in changes if change.startswith(("supply.", "camera.")))
         self._wall = WallClock()
         self._has_helm = False
-        self.keeping = Keeping(folder)
+        self.keeping = Keeping(folder, elsewhere)
+        self._news = SimpleQueue[str]()
         try:
             self._begin(make_ready(source, changes, self._real), 0)
         except BaseException:
@@ -113,19 +115,27 @@ class Session:
             time=self._time,
             positions=shape.positions,
             adsorption=shape.adsorption,
-            asked=helm.asked(tick, standing.count),
+            asked=given if self.setup.is_played else helm.asked(tick, standing.count),
             given=given,
             currents=standing.currents(given),
             observed=None if self._last is None else seen_at(self._last),
             reference=helm.reference(self._last),
             phase=standing.phase(helm, self._last),
-            controller=helm.name,
+            controller=RECORDED if self.setup.is_played else helm.name,
             recording=self.keeping.recording,
             arrows=standing.twin.arrows(),
             picture=self.setup.picture(),
             ticks=self._told(),
             pace=self.setup.pace,
         )
+
+    def news(self) -> list[str]:
+        """What was told of since this was asked last: stops, refusals, what a recording came to."""
+        told = []
+        with suppress(Empty):
+            while True:
+                told.append(self._news.get_nowait())
+        return told
 
     # -- what a user does; each returns at once, but checks what it was given
 
@@ -183,24 +193,28 @@ class Session:
 
     def drive_with(self, controller: str) -> None:
         """Who drives."""
+        asked.check_free_to_drive(self.setup.is_played)
         self._ready.driver(controller)
         self._do(lambda: self._seat(controller))
 
     def set_voltage(self, electrode: int, volts: float) -> None:
         """By hand from now on: one electrode at `volts` [V]."""
         ready = self._ready
+        asked.check_free_to_drive(self.setup.is_played)
         asked.check_electrode(ready, electrode, volts)
         self._do(lambda: self._by_hand(ready, lambda now: _with(now, electrode, volts)))
 
     def set_pattern(self, pattern: str, amplitude: float) -> None:
         """By hand from now on: a named pattern with this amplitude [V]."""
         ready = self._ready
+        asked.check_free_to_drive(self.setup.is_played)
         shaped = asked.pattern(ready, pattern, amplitude)
         self._do(lambda: self._by_hand(ready, lambda now: shaped))
 
     def set_reference(self, height: float | None) -> None:
         """The servo follows this height [m]; None: its own reference again."""
         follows = isinstance(self._helm.driver, Programmed)
+        asked.check_free_to_drive(self.setup.is_played)
         asked.check_reference(self._ready, height, follows)
         if height is not None and not follows:
             self._do(lambda: self._seat(SERVO))
@@ -326,6 +340,7 @@ class Session:
     def _tell(self, text: str) -> None:
         """For the user and for the log. The guard calls it too, from its own thread."""
         self.message = text.removeprefix("stopped: ")
+        self._news.put(text)
         self.keeping.event(self._time, text)
 
     def _told(self) -> Ticks:
@@ -346,7 +361,8 @@ class Session:
         twin = Twin(ready.nominal, self.setup.clock.now())
         twin.gel.compile()
         twin.arrows()
-        stage = stage_of(ready, self.setup.words, self.setup.has_camera)
+        drivers = (RECORDED,) if self.setup.is_played else ready.controllers
+        stage = stage_of(ready, self.setup.words, self.setup.has_camera, drivers)
         self._helm, self._has_helm = Helm(name, ready.driver(name)), True
         self._last, self._number, self._time, self._late = None, 0, 0.0, 0
         self._took.clear()
@@ -441,7 +457,6 @@ class Session:
         """What setup and guard have to say: for the user, and for the log, once there is one."""
         if self._state in (READY, BUILDING):
             self._notes.append(text)
-            self._say(text)
         self._tell(text)
 
     def _progress(self, text: str) -> None:

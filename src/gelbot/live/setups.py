@@ -38,9 +38,15 @@ LONGEST_PERIOD = 0.15
 
 
 class Setup(Protocol):
-    """A plant with what belongs to it. `words`: what it is, for the page."""
+    """A plant with what belongs to it. `words`: what it is, for the page. `is_played`: its voltages were recorded, and
+    nobody can give it others."""
 
     words: str
+
+    @property
+    def is_played(self) -> bool:
+        """See there."""
+        ...
 
     @property
     def has_camera(self) -> bool:
@@ -128,7 +134,7 @@ class OpenEye(Eye, Protocol):
 class _Paced:
     """What setups have in common whose gel is not real: their time may stand still, and go faster than the wall's."""
 
-    is_over = False
+    is_over = is_played = False
 
     guard: Guard
     plant: Plant
@@ -215,7 +221,7 @@ class BenchSetup:
     """A real supply and a real eye, at the pace of the world: `open_supply` and `open_eye` make them for a scenario,
     each time it begins."""
 
-    pace, is_over = 1.0, False
+    pace, is_over, is_played = 1.0, False, False
 
     def __init__(
         self,
@@ -239,9 +245,13 @@ class BenchSetup:
         supply = self._open_supply(ready, self.clock)
         try:
             self.guard = guard_of(ready.nominal, supply, self.clock, tell)
-            self._eye = self._open_eye(ready, self.clock, progress)
         except Exception:
             supply.close()
+            raise
+        try:
+            self._eye = self._open_eye(ready, self.clock, progress)
+        except Exception:
+            self.guard.close()  # and with it the supply
             raise
         self.plant = GuardedPlant(self.guard, self._eye, self.clock)
         self.guard.watch()
@@ -283,7 +293,7 @@ class BenchSetup:
 class PlayedSetup(_Paced):
     """A recorded run or log. Voltages do nothing; its guard has nothing to guard, but stops it like any other."""
 
-    has_camera = False
+    has_camera, is_played = False, True
 
     def __init__(self, path: Path, pace: float | None = 1.0) -> None:
         super().__init__(pace)
