@@ -50,6 +50,8 @@ from waiting import until
 
 WITHIN = 0.3
 """Zero volts at the latest after this long [s]."""
+SEEN = 0.3
+"""Why a device went to zero volts is told at the latest so long [s] after it did."""
 CALM = 0.03
 """A test that could not look for longer than this [s] was held up itself: then it says nothing, and is done again."""
 COARSE = "body.mesh_size=1.8 mm"
@@ -94,18 +96,21 @@ class Tank:
         """Wait until it gives voltages, and goes on to."""
         until(lambda: self.device.outputs().any() or self.session.moment().state == "stopped")
         time.sleep(0.3)
-        self.on_time()
-        assert self.session.moment().state == "running", self.session.moment().message
+        moment = self.session.moment()
+        self.on_time(moment.message)
+        assert moment.state == "running", moment.message
 
-    def on_time(self) -> None:
-        """Nobody was silent for too long. Raises `Busy`: nothing was done here that could make them."""
-        message = self.session.moment().message
+    def on_time(self, message: str | None = None) -> None:
+        """Nobody was silent for too long, by the present message if none is given. Raises `Busy`: nothing was done
+        here that could make them."""
+        message = self.session.moment().message if message is None else message
         if "silent" in message or "waiting" in message or "stood still" in message:
             raise Busy
 
     def fault(self, cause: Callable[[], object]) -> float:
         """What it took [s] from the beginning of a fault to zero volts."""
         if not self.device.outputs().any():
+            time.sleep(SEEN)
             self.on_time()
             pytest.fail(f"zero volts before the fault: {self.session.moment().message}")
         began = time.monotonic()
@@ -119,7 +124,7 @@ class Tank:
         assert not self.device.outputs().any()
         message = self.session.moment().message
         if says not in message:
-            self.on_time()
+            self.on_time(message)
         assert says in message
         assert "\n" not in message
         with pytest.raises(GelbotError, match="Press reset first"):
@@ -161,7 +166,7 @@ def calmly(test: Callable[..., None]) -> Callable[..., None]:
             try:
                 return test(tmp_path / str(attempt), *args, **kwargs)
             except Busy:
-                continue
+                print("the machine was busy")
         pytest.fail("the machine was busy three times")
 
     return done
@@ -227,10 +232,12 @@ def test_one_garbled_reply_is_no_fault(tmp_path):
         end = time.monotonic() + 0.5
         while time.monotonic() < end and tank.device.outputs().any():
             time.sleep(0.002)
+        time.sleep(SEEN)
         # Had the reply been what made it silent, it would be silent each time.
-        tank.on_time()
+        moment = tank.session.moment()
+        tank.on_time(moment.message)
         assert tank.device.garbled_count == 0
-        assert tank.session.moment().state == "running"
+        assert moment.state == "running", moment.message
         assert tank.device.outputs().any()
 
 
