@@ -82,8 +82,7 @@ def rows() -> list[dict[str, Any]]:
         empty = mean_picture([render(*nothing, camera, light, rng) for _ in range(4)])
         for known, name in ((habits, "with examples"), (None, "without")):
             tracker = Tracker(sheet, camera, start, empty, known)
-            if known is not None:
-                _ = tracker.scene.cells
+            tracker.scene.prepare()
             took, lost = [], 0
             for k in range(len(when)):
                 picture = render(positions[k], body.faces, camera, light, rng)

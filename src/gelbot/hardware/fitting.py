@@ -305,25 +305,24 @@ def _prior(
         [e.hidden_turn, e.hidden_turn, e.seen_turn, e.seen_move, e.seen_move, e.hidden_move],
         np.repeat(e.bend, a), np.full(a, e.swing), np.full(2, e.shrink),
     ]) * grown  # fmt: skip
-    usual = np.concatenate([np.repeat(e.usual_bend, a), np.full(a, e.usual_swing), e.usual_shrink])
-    means = np.concatenate([np.zeros(d - 2), e.mean_shrink])
-    even = np.eye(a) - 1.0 / a
-    partner = _mirror(sheet, calibration, last)
-    mirrored = np.eye(a) - np.eye(a)[partner]
-    is_pair = partner != np.arange(a)
-    anti = (np.eye(a) + np.eye(a)[partner]) * is_pair[:, None]
     blocks = [np.eye(6 + d) / walk[:, None]]
     aims = [np.concatenate([np.zeros(6), last.numbers]) / walk]
     if known is None:
+        usual = np.concatenate([np.repeat(e.usual_bend, a), np.full(a, e.usual_swing), e.usual_shrink])
+        means = np.concatenate([np.zeros(d - 2), e.mean_shrink])
+        even = np.eye(a) - 1.0 / a
+        partner = _mirror(sheet, calibration, last)
+        mirrored = np.eye(a) - np.eye(a)[partner]
+        is_pair = partner != np.arange(a)
+        anti = (np.eye(a) + np.eye(a)[partner]) * is_pair[:, None]
         blocks.append(np.eye(6 + d)[6:] / usual[:, None])
         aims.append(means / usual)
-    for m in range(ORDERS if known is None else 0):
-        for matrix, deviation in ((even, e.uneven[m]), (mirrored, e.lopsided[m])):
-            row = np.zeros((a, 6 + d))
-            row[:, 6 + m * a : 6 + (m + 1) * a] = matrix / deviation
-            blocks.append(row)
-            aims.append(np.zeros(a))
-    if known is None:
+        for m in range(ORDERS):
+            for matrix, deviation in ((even, e.uneven[m]), (mirrored, e.lopsided[m])):
+                row = np.zeros((a, 6 + d))
+                row[:, 6 + m * a : 6 + (m + 1) * a] = matrix / deviation
+                blocks.append(row)
+                aims.append(np.zeros(a))
         row = np.zeros((a, 6 + d))
         row[:, 6 + ORDERS * a : 6 + (ORDERS + 1) * a] = anti / e.lopsided_swing
         blocks.append(row)

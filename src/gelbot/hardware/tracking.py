@@ -109,7 +109,6 @@ class Scene:
     def cells(self) -> NDArray[np.float32]:
         """The silhouettes of the examples, (s, cells): drawn once, a millisecond each."""
         assert self.habits is not None
-        assert len(self.kin.points)  # whoever asks for these before the first picture wants no wait later
         drawn = [draw(self.sheet, self.calibration, self.habits.pose(k)) for k in range(self.habits.numbers.shape[1])]
         blank = np.zeros((1, 1), np.uint8)
         return np.stack([cells_of(blank if d is None else d.mask, self.calibration.scale) for d in drawn])
@@ -129,6 +128,11 @@ class Scene:
         """Which examples are near each other."""
         assert self.habits is not None
         return kin_of(self.sheet, self.habits)
+
+    def prepare(self) -> None:
+        """Draw and compare the examples now: that takes longer than a picture may."""
+        if self.habits is not None:
+            _ = self.cells, self.kin
 
     def likely(self, seen: Silhouette, state: State, elapsed: float) -> tuple[Likely | None, Thought | None]:
         """What the examples say of what is `seen`, and what is believed of them then."""

@@ -68,5 +68,5 @@ def _tracker(ready: Ready, calibration: Calibration, background: NDArray[np.floa
         ready.habits = examples_of(experiment, duration, lambda k, n: tell(f"examples for the camera: {k} of {n}"))
     sheet, lies = sheet_of(ready.nominal)
     tracker = Tracker(sheet, calibration, lies, background, ready.habits)
-    assert len(tracker.scene.cells)  # drawn now: they take longer than a picture may
+    tracker.scene.prepare()
     return tracker
