@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, Playwright, sync_playwright
 
@@ -94,13 +95,22 @@ def electrode_on_page(page: Page, served: Served, electrode: int, browser: int =
     box = page.locator(CANVAS).bounding_box()
     assert box is not None
     camera, shape = clients[browser].camera, box["width"] / box["height"]
-    # The page tells its camera now and then: until it has, the panels may have come to stand where it still sees.
+    # The page tells its camera now and then: until it has, the panels may have come to stand where it still sees. And
+    # it looks from elsewhere a little later.
     until(lambda: abs(camera.aspect - shape) < 0.01 * shape, PATIENCE, page)
+    until(lambda: _is_at_rest(page, served, browser), PATIENCE, page)
     across, down = served.page.places(clients[browser])[:, electrode]
     place = box["x"] + float(across) * box["width"], box["y"] + float(down) * box["height"]
     assert 0.0 < across < 1.0, f"electrode {electrode} is not in the picture"
     assert 0.0 < down < 1.0, f"electrode {electrode} is not in the picture"
     return place
+
+
+def _is_at_rest(page: Page, served: Served, browser: int) -> bool:
+    """Whether a browser goes on to show the electrodes where it does."""
+    before = served.page.places(served.page.browsers()[browser])
+    page.wait_for_timeout(300)
+    return np.allclose(before, served.page.places(served.page.browsers()[browser]), atol=1e-3)
 
 
 def click_electrode(page: Page, served: Served, electrode: int, browser: int = 0) -> None:

@@ -15,6 +15,10 @@ SAME = 1e-3
 
 ASPECTS = 0.2, 5.0
 """Breadth by height of the narrowest and the broadest picture that is filled."""
+KEPT = 4
+"""Views that a browser may still tell of."""
+NONE_YET = 0.0
+"""The shape of the picture of a browser that has just come."""
 
 
 @dataclass
@@ -23,13 +27,19 @@ class _Chosen:
     stage: Stage
     aspect: float
     seen: View
+    before: tuple[View, ...] = ()
+    """The last ones sent before, the newest first: the browser may still tell of them."""
     has_come: bool = False
     """Whether the browser has told that it looks from there. What it tells before is what it did before."""
 
 
 class Gaze:
     """The views of all browsers. A picture that changes its shape, as at first, when the panels come to stand beside
-    it, is filled again."""
+    it, is filled again.
+
+    Everything here happens in the server's own thread, where a browser's words come in: what viser says of its camera
+    is then what the browser has told last, until a view is written there.
+    """
 
     def __init__(self) -> None:
         self._chosen: dict[int, _Chosen] = {}
@@ -38,30 +48,35 @@ class Gaze:
         """From the view `name` of `stage`."""
         aspect = _aspect(client.camera)
         seen = view(stage, name, aspect)
-        self._chosen[client.client_id] = _Chosen(name, stage, aspect, seen)
+        last = self._chosen.get(client.client_id)
+        before = () if last is None else (last.seen, *last.before)[:KEPT]
+        self._chosen[client.client_id] = _Chosen(name, stage, aspect, seen, before)
         with client.atomic():
             client.camera.position, client.camera.look_at = seen.position, seen.target
             client.camera.up_direction = (0.0, 0.0, 1.0)
 
     def follow(self, client: viser.ClientHandle, stage: Stage) -> None:
         """From now on, from the first view of `stage`."""
-        self.look(client, stage, ALL)
+        # No view is written here, before the callback: it is called with the words that brought the browser here, and
+        # would find the view there as if the browser had told it.
+        self._chosen[client.client_id] = _Chosen(ALL, stage, NONE_YET, view(stage, ALL))
 
         async def changed(camera: viser.CameraHandle) -> None:
             chosen = self._chosen.get(client.client_id)
             if chosen is None:
                 return
-            if _is_at(camera, chosen.seen):
-                chosen.has_come = True
-            elif _is_at(camera, view(chosen.stage, ALL)):
-                # The browser puts its camera there by itself, a little after it has come.
+            is_there = _is_at(camera, chosen.seen)
+            # The browser puts its camera at the first view by itself, a little after it has come. And viser sends no
+            # view from which it believes that the browser looks, though another one may be on its way there.
+            if not is_there and any(_is_at(camera, other) for other in (view(chosen.stage, ALL), *chosen.before)):
                 self.look(client, chosen.stage, chosen.name)
-            elif chosen.has_come:
+            elif not is_there and chosen.has_come:
                 # Its user has moved it.
                 self.forget(client.client_id)
-                return
-            if _aspect(camera) != chosen.aspect:
+            elif _aspect(camera) != chosen.aspect:
                 self.look(client, chosen.stage, chosen.name)
+            else:
+                chosen.has_come = is_there
 
         client.camera.on_update(changed)
 

@@ -297,4 +297,4 @@ class Page:
         )
 
     def _look(self, client: viser.ClientHandle, name: str) -> None:
-        self._gaze.look(client, self._stage, name)
+        self._server._event_loop.call_soon_threadsafe(self._gaze.look, client, self._stage, name)

@@ -1,0 +1,175 @@
+"""From where a browser looks: the page fits the view to its picture until its user takes the camera."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from contextlib import nullcontext
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import viser
+from viser import _messages as messages
+from viser._viser import CameraHandle
+
+from gelbot.live.gaze import Gaze
+from gelbot.live.moment import Stage
+from gelbot.live.view import ABOVE, ALL, BODY, FIELD_OF_VIEW, view
+from toy import Toy
+
+BROAD, NARROW, OTHER = (1000, 700), (402, 700), (600, 700)
+"""Pictures [px]: a page before its panels stand beside it, and after."""
+DEFAULT = np.array([3.0, 3.0, 3.0])
+"""Where viser's browser looks from before it has been told anything."""
+
+
+class Browser:
+    """A browser at the other end of viser's own record of its camera: told what is written there, one message after
+    the other, and telling where it looks from."""
+
+    def __init__(self, gaze: Gaze, stage: Stage) -> None:
+        self.inbox: list[Any] = []
+        connection = SimpleNamespace(queue_message=self.inbox.append)
+        self.client: Any = SimpleNamespace(client_id=0, atomic=nullcontext, _websock_connection=connection)
+        self.client.camera = CameraHandle(self.client)
+        self.position, self.look_at, self.size = DEFAULT, np.zeros(3), BROAD
+        self._come = lambda: gaze.follow(self.client, stage)
+
+    def tell(self) -> None:
+        """Where it looks from, now. With its first words it has come; who follows it then hears them too."""
+        handle: CameraHandle = self.client.camera
+        state = handle._state
+        state.position, state.look_at = self.position, self.look_at
+        state.up_direction, state.fov = np.array([0.0, 0.0, 1.0]), float(FIELD_OF_VIEW)
+        (state.image_width, state.image_height), state.update_timestamp = self.size, time.time()
+        if self._come is not None:
+            come, self._come = self._come, None
+            come()
+        for callback in handle._state.camera_cb:
+            asyncio.run(callback(handle))  # pyright: ignore[reportArgumentType]
+
+    def hear(self, number: int | None = None) -> None:
+        """Do the first `number` of the things that it was told, all without."""
+        for message in self.inbox[:number]:
+            if isinstance(message, messages.SetCameraPositionMessage):
+                self.position = np.array(message.position)
+            elif isinstance(message, messages.SetCameraLookAtMessage):
+                self.look_at = np.array(message.look_at)
+        del self.inbox[:number]
+
+    def settle(self) -> None:
+        """Hear and tell until there is nothing more to be told."""
+        for _ in range(20):
+            self.tell()
+            if not self.inbox:
+                return
+            self.hear()
+        pytest.fail("the page and the browser go on and on")
+
+
+@pytest.fixture(scope="module")
+def stage() -> Stage:
+    return Toy(camera=False).stage()
+
+
+@pytest.fixture
+def gaze() -> Gaze:
+    return Gaze()
+
+
+@pytest.fixture
+def browser(gaze: Gaze, stage: Stage) -> Browser:
+    return Browser(gaze, stage)
+
+
+def looks(browser: Browser, stage: Stage, name: str = ALL) -> bool:
+    """Whether a browser looks from this view, fitted to its picture."""
+    wanted = view(stage, name, browser.size[0] / browser.size[1])
+    return np.allclose(browser.position, wanted.position) and np.allclose(browser.look_at, wanted.target)
+
+
+def go_to_the_first_view(browser: Browser, stage: Stage) -> None:
+    """What viser's browser does by itself, some time after it has come."""
+    first = view(stage, ALL)
+    browser.position, browser.look_at = first.position, first.target
+
+
+def test_viser_still_keeps_its_record_in_the_way_this_file_has_it():
+    for name in ("position", "look_at", "up_direction", "fov", "image_width", "camera_cb", "update_timestamp"):
+        assert name in viser._viser._CameraHandleState.__dataclass_fields__
+
+
+def test_the_first_view_fits(browser, stage):
+    browser.tell()
+    browser.hear()
+    browser.tell()
+    assert looks(browser, stage)
+    browser.size = NARROW
+    browser.settle()
+    assert looks(browser, stage)
+
+
+@pytest.mark.parametrize("heard", [0, 1, 2, None])
+def test_a_slow_browser_tells_its_default_place_again(browser, stage, heard):
+    """And goes to the first view late, which is not its user's doing."""
+    browser.tell()
+    browser.tell()
+    browser.hear(heard)
+    go_to_the_first_view(browser, stage)
+    browser.size = NARROW
+    browser.settle()
+    assert looks(browser, stage)
+
+
+def test_a_browser_that_goes_to_the_first_view_when_all_was_fitted(browser, stage):
+    browser.size = NARROW
+    browser.settle()
+    go_to_the_first_view(browser, stage)
+    browser.settle()
+    assert looks(browser, stage)
+
+
+def test_a_picture_that_changes_its_shape_to_and_fro(browser, stage):
+    """While the view for the shape in between is on its way: viser would not send the last one, for it believes that
+    the browser looks from there."""
+    browser.settle()
+    browser.size = NARROW
+    browser.tell()
+    browser.size = BROAD
+    browser.tell()
+    browser.settle()
+    assert looks(browser, stage)
+    browser.size = NARROW
+    browser.settle()
+    assert looks(browser, stage)
+
+
+def test_a_view_chosen_while_another_one_is_on_its_way(browser, gaze, stage):
+    browser.settle()
+    gaze.look(browser.client, stage, BODY)
+    browser.tell()
+    gaze.look(browser.client, stage, ALL)
+    browser.settle()
+    assert looks(browser, stage)
+
+
+@pytest.mark.parametrize("name", [ALL, BODY, ABOVE])
+def test_what_its_user_has_moved_stays(browser, gaze, stage, name):
+    browser.settle()
+    gaze.look(browser.client, stage, name)
+    browser.settle()
+    assert looks(browser, stage, name)
+    browser.position = browser.position + np.array([10.0, 0.0, -5.0])
+    mine = browser.position
+    browser.settle()
+    browser.size = OTHER
+    browser.settle()
+    np.testing.assert_array_equal(browser.position, mine)
+    # Until a view is chosen again.
+    gaze.look(browser.client, stage, name)
+    browser.settle()
+    browser.size = NARROW
+    browser.settle()
+    assert looks(browser, stage, name)
