@@ -38,6 +38,7 @@ from gelbot.errors import BadInput, GelbotError
 from gelbot.live import colours, page, shared
 from gelbot.live.between import Between
 from gelbot.live.hand import SOON, Hand, wanted
+from gelbot.live.look import GONE
 from gelbot.live.plates import FRAMES, OPACITY, SOLID, short
 from gelbot.live.plots import History
 from gelbot.live.seat import Seat
@@ -49,6 +50,8 @@ from waiting import until
 
 pytestmark = pytest.mark.realtime
 in_browser = pytest.mark.skipif(bool(NO_BROWSER), reason=NO_BROWSER or "there is one")
+BEFORE = "element => getComputedStyle(element, '::before').content"
+"""What stands before an element by the style sheet alone."""
 ELECTRODE = 15
 """One that stands in the first view."""
 
@@ -225,6 +228,13 @@ def test_a_stroke_paints_each_plate_once(toy: Toy, served: Served) -> None:
         stroke(wire, "start", second, second)
         until(lambda: len(called(toy, "set_voltage")) == 5, 5.0)
         assert called(toy, "set_voltage")[-1] == (1, 5.0)
+
+
+@pytest.mark.parametrize("is_real", [False, True])
+def test_a_real_gel_goes_at_its_own_pace(toy: Toy, is_real: bool) -> None:
+    toy._stage = replace(toy.stage(), is_real=is_real)
+    with serve(toy, port=0) as served:
+        assert control(served, "pace").options == (("1x",) if is_real else ("1x", "2x", "4x", "fastest"))
 
 
 def test_what_was_chosen_stays_where_the_same_stands_anew(toy: Toy, served: Served) -> None:
@@ -845,6 +855,23 @@ def test_closing_the_driver_s_tab_stops_at_once(browser: Browser, toy: Toy, serv
 
 @in_browser
 @pytest.mark.slow
+def test_a_page_that_is_left_alone_says_so(browser: Browser, toy: Toy) -> None:
+    with serve(toy, port=0) as served:
+        page = open_page(browser, served.url)
+        stop = page.get_by_role("button", name="EMERGENCY STOP")
+        assert stop.is_visible()
+        assert GONE[:14] not in page.locator(".gelbot-status").evaluate(BEFORE)
+    try:
+        until(lambda: GONE in page.locator(".gelbot-status").evaluate(BEFORE), page=page)
+        assert not stop.is_visible()
+        assert not page.get_by_text("ready", exact=True).is_visible()
+        assert not page.get_by_text("You drive").is_visible()
+    finally:
+        page.close()
+
+
+@in_browser
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("key", "focus"),
     [("Escape", ""), ("Escape", "height, mm"), ("Space", ""), ("Space", "record")],
@@ -952,6 +979,9 @@ def test_the_stop_stays_in_sight(browser: Browser, toy: Toy, served: Served) -> 
         # Where it is seen it is also hit.
         page.mouse.click(after["x"] + 0.5 * after["width"], after["y"] + 0.5 * after["height"])
         assert asked(toy, page, "emergency_stop", "browser 1")
+        # And what is said then does not push it away.
+        page.get_by_text("stopped", exact=True).wait_for()
+        assert stop.bounding_box() == after
     finally:
         page.close()
 

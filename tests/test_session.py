@@ -167,7 +167,7 @@ def test_the_bench_keeps_its_own_limits(tmp_path):
 def test_what_cannot_be_built_leaves_what_stood(tmp_path):
     session = Session(SimulatedSetup(), Source("curl"), tmp_path / "live")
     try:
-        with pytest.raises(BadInput, match="a length with its unit"):
+        with pytest.raises(BadInput, match=r"body\.width: got 'wide'; allowed: a length with its unit"):
             session.change({"body.width": "wide"})
         stage = session.stage()
         session.change({"body.pose.lift": "1 mm"})  # a length, but the rod is there

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from gelbot.errors import BadInput
 from gelbot.live.ready import OFFERED, SERVO, Ready
 from gelbot.plan.templates import template
+from gelbot.scenario.explain import BY_OPTION
 from gelbot.scenario.schema import Scenario
 
 HIGHEST = 1.0
@@ -23,7 +24,12 @@ def changed(ready: Ready, changes: Mapping[str, str]) -> tuple[str, ...]:
         if key.partition(".")[0] not in OFFERED:
             raise BadInput(key, value, "a key of " + ", ".join(OFFERED))
         kept[key] = f"{key}={value}"
-    ready.source.load(list(kept.values()))
+    try:
+        ready.source.load(list(kept.values()))
+    except BadInput as error:
+        # It was written on the page.
+        where = error.where.removesuffix(BY_OPTION)
+        raise BadInput(where, error.given, error.allowed, error.advice, error.more) from None
     return tuple(kept.values())
 
 

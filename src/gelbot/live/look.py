@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+ALONE = 'div[style*="opacity: 0.5"][style*="pointer-events: none"]'
+"""What viser puts round all controls while the page is not connected."""
+GONE = "Not connected: gelbot has ended or is out of reach. This is the past; nothing here stops anything."
+"""In the place of the status and of the button that stops, while there is nobody to hear it."""
+
 
 def style(stop: str) -> str:
     """The style sheet; `stop`: the id of the button that stops, which stays in sight however far one scrolls."""
@@ -9,6 +14,7 @@ def style(stop: str) -> str:
 .gelbot-status {{ padding: .1em .8em .4em; font-size: .85em; line-height: 1.45; }}
 .gelbot-state {{ color: #fff; border-radius: .7em; padding: .05em .6em; margin-right: .35em; font-size: .92em; }}
 .gelbot-small, .gelbot-hint {{ color: #777; font-size: .9em; }}
+.gelbot-status > .gelbot-small {{ white-space: nowrap; overflow: hidden; text-overflow: ellipsis; }}
 .gelbot-hint {{ padding: 0 .9em .5em; font-size: .78em; line-height: 1.35; }}
 .gelbot-record {{ color: #c92a2a; margin-left: .6em; }}
 .gelbot-message {{ color: #8a4b00; background: #fff6e5; border-radius: .3em; padding: .15em .5em; margin-top: .25em; }}
@@ -25,6 +31,10 @@ div:has(> button[id="{stop}"]) {{ position: sticky; top: 0; z-index: 30; backgro
 button[id="{stop}"] {{ height: 3.1em !important; background: #d6201f !important; letter-spacing: .06em;
   font-weight: 700; box-shadow: 0 1px 4px rgba(160, 0, 0, .35); }}
 button[id="{stop}"]:hover {{ background: #b71312 !important; }}
+{ALONE} :is(.gelbot-status > *, .gelbot-seat) {{ display: none; }}
+{ALONE} .gelbot-status::before {{ content: "{GONE}"; display: block; color: #700; background: #ffbcbc;
+  font-weight: 600; border-radius: .3em; padding: .2em .5em; }}
+{ALONE} button[id="{stop}"] {{ visibility: hidden; }}
 </style>"""
 
 

@@ -17,9 +17,10 @@ class Stage:
     `faces` (3, f) of the gel's surface, `rest` (3, n) where its nodes lie at the start; `outlines`: of each electrode
     its corners (3, k), the plate's rim in order; `electrode_names`; `limit` [V] of the supply; `floor_depth`;
     `obstacles` (m, 3, 3) triangles (triangle, corner, space); `patterns`: names of voltage patterns that can be asked
-    for; `controllers`: who can drive; `plant`: words for where the observed gel comes from; `has_camera`. `settings`:
-    keys of the scenario that the page offers to change, with their present text ("body.width": "15 mm");
-    `water_height`: of the free surface above z = 0, NaN where there is none.
+    for; `controllers`: who can drive; `plant`: words for where the observed gel comes from; `has_camera`;
+    `is_real`: the gel goes at the pace of the world. `settings`: keys of the scenario that the page offers to change,
+    with their present text ("body.width": "15 mm"); `water_height`: of the free surface above z = 0, NaN where there
+    is none.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Stage:
     control_period: float
     settings: dict[str, str]
     water_height: float = math.nan
+    is_real: bool = False
 
     def is_like(self, other: Stage) -> bool:
         """Whether the other one looks the same: after a reset the same things stand anew."""

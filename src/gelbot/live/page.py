@@ -104,11 +104,12 @@ class Page:
         gui.configure_theme(control_width="small", show_logo=False, show_share_button=False, brand_color=(0, 90, 150))
         gui.main_panel.dock_right()
         gui.main_panel.set_width(RIGHT)
-        self._status = gui.add_html("", order=0.1)
+        # Above all that changes, so that it stays where it is.
         stop = gui.add_button(
-            "EMERGENCY STOP", color="red", order=0.2, hint="Zero volts at once. Keys: Escape, space bar"
+            "EMERGENCY STOP", color="red", order=0.1, hint="Zero volts at once. Keys: Escape, space bar"
         )
         stop.on_click(self._stop_pressed)
+        self._status = gui.add_html("", order=0.2)
         gui.add_html(look.style(stop._impl.uuid), order=0.0)
         words = "Zero volts at once"
         gui.add_command("Emergency stop", description=words, hotkey="escape").on_trigger(self._stop_pressed)

@@ -87,7 +87,9 @@ class Panel:
             )
         )
         self.controller: Shared[str] = Shared(self._permit, drive, actions.drive_with)
-        pace = self._keep(gui.add_dropdown("pace", tuple(PACES), initial_value="1x", hint="Of the gel's time to yours"))
+        # A real gel takes its time.
+        paces = tuple(name for name, pace in PACES.items() if pace == 1.0 or not self.stage.is_real)
+        pace = self._keep(gui.add_dropdown("pace", paces, initial_value="1x", hint="Of the gel's time to yours"))
         self.pace: Shared[str] = Shared(self._permit, pace, lambda name: actions.set_pace(PACES[name]))
         record = self._keep(
             gui.add_checkbox("record", actions.moment().recording, hint="Keep the motion in a run folder")

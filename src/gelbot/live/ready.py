@@ -127,8 +127,8 @@ def _was_planned(loaded: Loaded) -> bool:
     return True
 
 
-def stage_of(ready: Ready, plant: str, has_camera: bool, drivers: tuple[str, ...]) -> Stage:
-    """What the page shows of it; `drivers` may be chosen."""
+def stage_of(ready: Ready, plant: str, has_camera: bool, is_real: bool, drivers: tuple[str, ...]) -> Stage:
+    """What the page shows of it, and of its `plant`; `drivers` may be chosen."""
     experiment = ready.nominal
     scenario = experiment.scenario
     corners = outlines(experiment.array)
@@ -149,6 +149,7 @@ def stage_of(ready: Ready, plant: str, has_camera: bool, drivers: tuple[str, ...
         control_period=scenario.programme.control_period,
         settings=settings_of(ready.loaded.text),
         water_height=np.nan if scenario.tank.depth is None else scenario.tank.depth,
+        is_real=is_real,
     )
 
 

@@ -362,7 +362,7 @@ class Session:
         twin.gel.compile()
         twin.arrows()
         drivers = (RECORDED,) if self.setup.is_played else ready.controllers
-        stage = stage_of(ready, self.setup.words, self.setup.has_camera, drivers)
+        stage = stage_of(ready, self.setup.words, self.setup.has_camera, self.setup.is_real, drivers)
         self._helm, self._has_helm = Helm(name, ready.driver(name)), True
         self._last, self._number, self._time, self._late = None, 0, 0.0, 0
         self._took.clear()

@@ -39,12 +39,17 @@ LONGEST_PERIOD = 0.15
 
 class Setup(Protocol):
     """A plant with what belongs to it. `words`: what it is, for the page. `is_played`: its voltages were recorded, and
-    nobody can give it others."""
+    nobody can give it others. `is_real`: its gel is no simulation, and goes at the pace of the world."""
 
     words: str
 
     @property
     def is_played(self) -> bool:
+        """See there."""
+        ...
+
+    @property
+    def is_real(self) -> bool:
         """See there."""
         ...
 
@@ -134,7 +139,7 @@ class OpenEye(Eye, Protocol):
 class _Paced:
     """What setups have in common whose gel is not real: their time may stand still, and go faster than the wall's."""
 
-    is_over = is_played = False
+    is_over = is_played = is_real = False
 
     guard: Guard
     plant: Plant
@@ -221,7 +226,7 @@ class BenchSetup:
     """A real supply and a real eye, at the pace of the world: `open_supply` and `open_eye` make them for a scenario,
     each time it begins."""
 
-    pace, is_over, is_played = 1.0, False, False
+    pace, is_over, is_played, is_real = 1.0, False, False, True
 
     def __init__(
         self,

@@ -23,6 +23,9 @@ WORDS = {
     "too_short": "a list that is not empty",
 }
 
+BY_OPTION = " (with --set)"
+"""After a key that was given on the command line."""
+
 
 def explained(error: ValidationError, source: str, overridden: tuple[str, ...] = ()) -> BadInput:
     """The first of the errors as a `BadInput`; `source` names the file, `overridden` the keys that --set gave."""
@@ -31,7 +34,7 @@ def explained(error: ValidationError, source: str, overridden: tuple[str, ...] =
     key, given, allowed, advice = _case(found[0])
     by_option = any(f"{key}.".startswith(f"{name}.") or f"{name}.".startswith(f"{key}.") for name in overridden if key)
     where = f"{source}: {key}" if key else source
-    return BadInput(f"{where} (with --set)" if by_option else where, given, allowed, advice, len(found) - 1)
+    return BadInput(where + BY_OPTION if by_option else where, given, allowed, advice, len(found) - 1)
 
 
 def _case(found: ErrorDetails) -> tuple[str, object, str, str]:
