@@ -3,18 +3,21 @@
 With a real browser on the same machine, which draws with the processor and takes most of it; and with one that is
 elsewhere, or has a GPU: a program that takes all pictures and draws none.
 
-python benchmarks/live.py      the rows, as JSON; two minutes
+python benchmarks/live.py      the rows, as JSON; three minutes
 """
 
 from __future__ import annotations
 
 import json
 import math
+import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -23,15 +26,16 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 Rows = list[dict[str, Any]]
 
-WARM, MEASURED, ALONE = 12.0, 20.0, 10.0
-"""Seconds until all shaders are made, those that count, and those without a page."""
+WARM, MEASURED = 12.0, 20.0
+"""Seconds until all shaders are made, and those that count."""
 TICK = 3e-3
 """What the control loop does in each tick of 100 ms takes about that [s]."""
 WIDTH, HEIGHT = 1000, 700
+SIZE = f"{WIDTH} x {HEIGHT}, half the pixels"
+MESH = "0.8 mm"
+"""332 nodes."""
 FRAMES = "window.__viserTestpoints.rendererInfo.render.frame"
 CLOSINGS = 5
-SWITCH = 2e-4
-"""As a session has it [s]: a thread that computes gives way soon, so that a tick does not wait Python's usual 5 ms."""
 ELSEWHERE = """
 import sys, msgspec, viser
 from websockets.sync.client import connect
@@ -42,10 +46,11 @@ there = {"type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position"
 protocol = f"viser-v{viser.__version__}"
 with connect("ws" + url[4:], origin=url[:-1], subprotocols=[protocol], max_size=None, compression=None) as wire:
     wire.send(msgspec.msgpack.encode(there))
-    for _ in wire:
-        pass
+    for message in wire:
+        print(end="." if len(message) > 2000 else "", flush=True)
 """
-"""A browser that draws nothing: it says where its camera stands, and takes what comes."""
+"""A browser that draws nothing: it says where its camera stands, takes what comes, and puts down a dot for each message
+with so many bytes [B] that the gel's nodes are in it."""
 
 
 def busy() -> None:
@@ -67,12 +72,12 @@ def rows() -> Rows:
     """Pictures a second, the control ticks meanwhile, and how soon the volts are gone when the browser is."""
     from browser import NO_BROWSER  # pyright: ignore[reportMissingImports]
 
-    return [*whole(), *elsewhere(), *([] if NO_BROWSER else [*pictures(), *closing()])]
+    return [*whole(is_here=False), *([] if NO_BROWSER else [*whole(is_here=True), *closing()])]
 
 
-def whole() -> Rows:
-    """The turn-over as `gelbot live` has it: a simulated gel, its simulator beside it, log and page, and a browser
-    elsewhere."""
+def whole(is_here: bool) -> Rows:
+    """The turn-over as `gelbot live` has it: a simulated gel, its simulator beside it, log and page, each where it
+    belongs, and a browser elsewhere, or one that `is_here` and draws with the same processor."""
     from gelbot.clock import be_in_time
     from gelbot.engine import keep_compiled, prepare_engine
 
@@ -85,84 +90,48 @@ def whole() -> Rows:
     from gelbot.live.setups import SimulatedSetup
 
     with TemporaryDirectory() as folder:
-        session = Session(SimulatedSetup(), Source("turn-over"), Path(folder))
+        session = Session(SimulatedSetup(), Source("turn-over"), Path(folder), (f"body.mesh_size={MESH}",))
         try:
-            session.drive_with("planned")
-            with served_apart(session, "127.0.0.1", 0, None) as url:
-                taker = subprocess.Popen([sys.executable, "-c", ELSEWHERE, url])
-                try:
-                    time.sleep(WARM)
-                    session.start()
-                    time.sleep(MEASURED)
-                    moment = session.moment()
-                finally:
-                    taker.kill()
-                    taker.wait()
+            session.drive_with("programme")
+            with served_apart(session, "127.0.0.1", 0, None) as url, browser_at(url, is_here) as (wait, count):
+                wait(WARM)
+                session.start()
+                before, began = count(), time.perf_counter()
+                wait(MEASURED)
+                rate = (count() - before) / (time.perf_counter() - began)
+                moment = session.moment()
         finally:
             session.close()
     ticks, nodes = moment.ticks, moment.positions.shape[1]
-    note = (
-        f"{nodes} nodes, {ticks.count} ticks, {ticks.late} late, longest {1e3 * ticks.longest:.1f} ms; {moment.state}"
-    )
+    note = f"{nodes} nodes, {ticks.count} ticks, {ticks.late} late, longest {1e3 * ticks.longest:.1f} ms"
+    if moment.state != "running":
+        note += f"; {moment.state}: {moment.message}"
+    where = "here" if is_here else "elsewhere"
+    headline = "" if is_here else "live_bench_tick_p99_ms"
+    shown = "drawn without a GPU, browser here" if is_here else "sent, browser elsewhere"
     return [
-        row("live: tick of the whole bench, median", 1e3 * ticks.median, "ms", None, note),
-        row("live: tick of the whole bench, 99 %", 1e3 * ticks.p99, "ms", 20.0, note, "live_bench_tick_p99_ms"),
+        row(f"live: pictures {shown}", rate, "1/s", None if is_here else 30.0, SIZE if is_here else ""),
+        row(f"live: tick of the whole bench, browser {where}, median", 1e3 * ticks.median, "ms", None, note),
+        row(f"live: tick of the whole bench, browser {where}, 99 %", 1e3 * ticks.p99, "ms", 20.0, note, headline),
     ]
 
 
-def elsewhere() -> Rows:
-    """With a browser that takes nothing from this machine's processor."""
-    from gelbot.live.serve import serve
-    from toy import Toy  # pyright: ignore[reportMissingImports]
+@contextmanager
+def browser_at(url: str, is_here: bool) -> Iterator[tuple[Callable[[float], object], Callable[[], int]]]:
+    """How to wait some seconds beside a browser, and how many pictures it has drawn, or taken, so far."""
+    from browser import browser_page  # pyright: ignore[reportMissingImports]
 
-    sys.setswitchinterval(SWITCH)
-    with Toy(busy, keep_running=True) as toy, serve(toy, port=0) as served:
-        taker = subprocess.Popen([sys.executable, "-c", ELSEWHERE, served.url])
+    if is_here:
+        with browser_page(url, WIDTH, HEIGHT) as page:
+            yield lambda seconds: page.wait_for_timeout(1e3 * seconds), lambda: int(page.evaluate(FRAMES))
+        return
+    with TemporaryFile() as dots:
+        taker = subprocess.Popen([sys.executable, "-c", ELSEWHERE, url], stdout=dots)
         try:
-            while served.page.pictures < 30:
-                time.sleep(0.1)
-            toy.spent.clear()
-            sent, began = served.page.pictures, time.perf_counter()
-            time.sleep(MEASURED)
-            sent, took = served.page.pictures - sent, time.perf_counter() - began
-            high = 1e3 * float(np.percentile(toy.spent, 99))
+            yield time.sleep, lambda: os.fstat(dots.fileno()).st_size
         finally:
             taker.kill()
             taker.wait()
-    return [
-        row("page: pictures sent, browser elsewhere", sent / took, "1/s", 30.0, "", "live_pictures_per_s"),
-        row("page: control tick meanwhile, 99 %", high, "ms", 20.0, "", "live_tick_p99_ms"),
-    ]
-
-
-def pictures() -> Rows:
-    """What is sent and drawn, and the time of the ticks."""
-    from browser import browser_page  # pyright: ignore[reportMissingImports]
-    from gelbot.live.serve import serve
-    from toy import Toy  # pyright: ignore[reportMissingImports]
-
-    sys.setswitchinterval(SWITCH)
-    with Toy(busy, keep_running=True) as toy:
-        time.sleep(ALONE)
-        alone = 1e3 * float(np.percentile(toy.spent, 99))
-    with Toy(busy, keep_running=True) as toy, serve(toy, port=0) as served:
-        nodes = toy.stage().rest.shape[1]
-        with browser_page(served.url, WIDTH, HEIGHT) as page:
-            page.wait_for_timeout(1e3 * WARM)
-            toy.spent.clear()
-            sent, drawn, began = served.page.pictures, page.evaluate(FRAMES), time.perf_counter()
-            page.wait_for_timeout(1e3 * MEASURED)
-            drawn, took = page.evaluate(FRAMES) - drawn, time.perf_counter() - began
-            sent = served.page.pictures - sent
-            ticks = 1e3 * np.array(toy.spent)
-    median, high = np.percentile(ticks, (50, 99))
-    note = f"{nodes} nodes, one browser, {len(ticks)} ticks of 10 a second in the same process"
-    return [
-        row("page: pictures sent, browser here", sent / took, "1/s", 30.0, note),
-        row("page: pictures drawn without a GPU", drawn / took, "1/s", None, f"{WIDTH} x {HEIGHT}, half the pixels"),
-        row("page: control tick beside it, median", median, "ms", None, f"its own work is {1e3 * TICK:g} ms"),
-        row("page: control tick beside it, 99 %", high, "ms", 20.0, f"alone {alone:.1f} ms"),
-    ]
 
 
 def closing() -> Rows:
