@@ -107,10 +107,11 @@ def electrode_on_page(page: Page, served: Served, electrode: int, browser: int =
 
 
 def _is_at_rest(page: Page, served: Served, browser: int) -> bool:
-    """Whether a browser goes on to show the electrodes where it does."""
+    """Whether a browser shows the electrodes from where it was told to, or its user wants, and goes on to do so."""
     before = served.page.places(served.page.browsers()[browser])
     page.wait_for_timeout(300)
-    return np.allclose(before, served.page.places(served.page.browsers()[browser]), atol=1e-3)
+    after = served.page.places(served.page.browsers()[browser])
+    return served.page._gaze.is_settled(browser) and np.allclose(before, after, atol=1e-3)
 
 
 def click_electrode(page: Page, served: Served, electrode: int, browser: int = 0) -> None:

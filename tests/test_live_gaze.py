@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from contextlib import nullcontext
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -36,9 +37,11 @@ class Browser:
         self.client.camera = CameraHandle(self.client)
         self.position, self.look_at, self.size = DEFAULT, np.zeros(3), BROAD
         self._come = lambda: gaze.follow(self.client, stage)
+        self._told: object = None
 
     def tell(self) -> None:
         """Where it looks from, now. With its first words it has come; who follows it then hears them too."""
+        self._told = self._now()
         handle: CameraHandle = self.client.camera
         state = handle._state
         state.position, state.look_at = self.position, self.look_at
@@ -60,13 +63,21 @@ class Browser:
         del self.inbox[:number]
 
     def settle(self) -> None:
-        """Hear and tell until there is nothing more to be told."""
+        """Hear and tell until there is nothing more to be told: what has not changed is not told."""
         for _ in range(20):
-            self.tell()
+            if self._told != self._now():
+                self.tell()
             if not self.inbox:
                 return
             self.hear()
         pytest.fail("the page and the browser go on and on")
+
+    def drag(self) -> None:
+        """What its user does."""
+        self.position = self.position + np.array([10.0, 0.0, -5.0])
+
+    def _now(self) -> object:
+        return tuple(self.position), tuple(self.look_at), self.size
 
 
 @pytest.fixture(scope="module")
@@ -123,9 +134,19 @@ def test_a_slow_browser_tells_its_default_place_again(browser, stage, heard):
     assert looks(browser, stage)
 
 
-def test_a_browser_that_goes_to_the_first_view_when_all_was_fitted(browser, stage):
+@pytest.mark.parametrize("is_moved", [False, True])
+@pytest.mark.parametrize("name", [ALL, BODY])
+def test_a_browser_that_goes_to_the_first_view_when_all_was_fitted(browser, gaze, stage, name, is_moved):
+    """By itself at first, or by viser's "Reset View"."""
+    for width in range(400, 1000, 50):
+        browser.size = width, 700
+        browser.settle()
     browser.size = NARROW
+    gaze.look(browser.client, stage, name)
     browser.settle()
+    if is_moved:
+        browser.drag()
+        browser.settle()
     go_to_the_first_view(browser, stage)
     browser.settle()
     assert looks(browser, stage)
@@ -156,14 +177,100 @@ def test_a_view_chosen_while_another_one_is_on_its_way(browser, gaze, stage):
 
 
 @pytest.mark.parametrize("name", [ALL, BODY, ABOVE])
+def test_a_view_that_is_not_sent_since_the_browser_is_there(browser, gaze, stage, name):
+    """Its user may move it all the same."""
+    browser.settle()
+    for size in (BROAD, (1050, 700)):
+        browser.size = size
+        gaze.look(browser.client, stage, name)
+        browser.settle()
+    gaze.look(browser.client, stage, name)
+    browser.drag()
+    mine = browser.position
+    browser.settle()
+    browser.size = NARROW
+    browser.settle()
+    np.testing.assert_array_equal(browser.position, mine)
+
+
+def test_a_user_s_hand_while_a_view_is_on_its_way(browser, stage):
+    browser.settle()
+    browser.size = NARROW
+    browser.tell()
+    browser.drag()
+    browser.tell()
+    browser.hear()
+    # The view and the next bit of the way in one picture.
+    browser.drag()
+    mine = browser.position
+    browser.settle()
+    browser.size = OTHER
+    browser.settle()
+    np.testing.assert_array_equal(browser.position, mine)
+
+
+def test_many_shapes_while_a_view_is_on_its_way(browser, stage):
+    browser.settle()
+    for width in (*range(400, 1000, 100), BROAD[0], BROAD[0]):
+        browser.size = width, 700
+        browser.tell()
+    browser.hear(1)
+    browser.settle()
+    assert looks(browser, stage)
+
+
+def test_a_browser_that_says_the_same_over_and_over_while_views_are_on_their_way(browser, stage):
+    browser.settle()
+    for width in (OTHER[0], *[NARROW[0]] * 12):
+        browser.size = width, 700
+        browser.tell()
+    browser.hear(3)
+    assert looks(browser, stage) is False
+    browser.settle()
+    browser.size = BROAD
+    browser.settle()
+    assert looks(browser, stage)
+
+
+def test_what_was_built_anew_is_fitted(browser, gaze, stage):
+    """While its user leaves the camera there."""
+    browser.settle()
+    wide = replace(stage, outlines=tuple(2.0 * outline for outline in stage.outlines))
+    gaze.refit(browser.client, wide)
+    browser.settle()
+    assert looks(browser, wide)
+    browser.drag()
+    mine = browser.position
+    browser.settle()
+    gaze.refit(browser.client, stage)
+    browser.settle()
+    np.testing.assert_array_equal(browser.position, mine)
+    go_to_the_first_view(browser, stage)
+    browser.settle()
+    assert looks(browser, stage)
+
+
+def test_a_browser_that_has_gone_is_forgotten(browser, gaze, stage):
+    browser.settle()
+    gaze.forget(0)
+    gaze.refit(browser.client, stage)
+    browser.size = NARROW
+    browser.settle()
+    assert not browser.inbox
+    assert not gaze.is_settled(0)
+
+
+@pytest.mark.parametrize("name", [ALL, BODY, ABOVE])
 def test_what_its_user_has_moved_stays(browser, gaze, stage, name):
     browser.settle()
     gaze.look(browser.client, stage, name)
     browser.settle()
     assert looks(browser, stage, name)
-    browser.position = browser.position + np.array([10.0, 0.0, -5.0])
+    assert gaze.is_settled(0)
+    browser.drag()
     mine = browser.position
     browser.settle()
+    assert gaze.is_settled(0)
     browser.size = OTHER
     browser.settle()
     np.testing.assert_array_equal(browser.position, mine)

@@ -38,7 +38,7 @@ from gelbot.errors import BadInput, GelbotError
 from gelbot.live import colours, page, shared
 from gelbot.live.between import Between
 from gelbot.live.hand import SOON, Hand, wanted
-from gelbot.live.look import GONE
+from gelbot.live.look import GONE, PATIENCE, SILENT
 from gelbot.live.plates import FRAMES, OPACITY, SOLID, short
 from gelbot.live.plots import History
 from gelbot.live.seat import Seat
@@ -859,13 +859,36 @@ def test_a_page_that_is_left_alone_says_so(browser: Browser, toy: Toy) -> None:
     with serve(toy, port=0) as served:
         page = open_page(browser, served.url)
         stop = page.get_by_role("button", name="EMERGENCY STOP")
+        ready, seat = page.get_by_text("ready", exact=True), page.get_by_text("You drive")
         assert stop.is_visible()
-        assert GONE[:14] not in page.locator(".gelbot-status").evaluate(BEFORE)
+        assert ready.is_visible()
+        assert seat.is_visible()
+        over = stop.locator("xpath=..")
+        assert over.evaluate(BEFORE) == "none"
     try:
-        until(lambda: GONE in page.locator(".gelbot-status").evaluate(BEFORE), page=page)
+        until(lambda: GONE in over.evaluate(BEFORE), page=page)
         assert not stop.is_visible()
-        assert not page.get_by_text("ready", exact=True).is_visible()
-        assert not page.get_by_text("You drive").is_visible()
+        assert not ready.is_visible()
+        assert not seat.is_visible()
+    finally:
+        page.close()
+
+
+@in_browser
+@pytest.mark.slow
+def test_a_page_that_hears_nothing_says_so(browser: Browser, toy: Toy, served: Served) -> None:
+    """As behind a pulled cable, of which a connection does not know."""
+    page = open_page(browser, served.url)
+    try:
+        stop = page.get_by_role("button", name="EMERGENCY STOP")
+        over = stop.locator("xpath=..")
+        page.wait_for_timeout(1.5e3 * PATIENCE)
+        assert over.evaluate(BEFORE) == "none"
+        served.page._done.set()
+        until(lambda: SILENT in over.evaluate(BEFORE), page=page)
+        # It may still be heard.
+        stop.click()
+        assert asked(toy, page, "emergency_stop", "browser 1")
     finally:
         page.close()
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import viser
+from numpy.typing import NDArray
 
 from gelbot.live.moment import Stage
 from gelbot.live.view import ALL, View, view
@@ -15,7 +16,7 @@ SAME = 1e-3
 
 ASPECTS = 0.2, 5.0
 """Breadth by height of the narrowest and the broadest picture that is filled."""
-KEPT = 4
+KEPT = 8
 """Views that a browser may still tell of."""
 NONE_YET = 0.0
 """The shape of the picture of a browser that has just come."""
@@ -29,8 +30,12 @@ class _Chosen:
     seen: View
     before: tuple[View, ...] = ()
     """The last ones sent before, the newest first: the browser may still tell of them."""
-    has_come: bool = False
-    """Whether the browser has told that it looks from there. What it tells before is what it did before."""
+    is_there: bool = False
+    """Whether the browser has told that it looks from there."""
+    is_known: bool = False
+    """Whether it has told of any view that it was given. Before, it tells of where it stood by itself."""
+    is_free: bool = False
+    """Whether its user has moved the camera since."""
 
 
 class Gaze:
@@ -46,14 +51,16 @@ class Gaze:
 
     def look(self, client: viser.ClientHandle, stage: Stage, name: str) -> None:
         """From the view `name` of `stage`."""
-        aspect = _aspect(client.camera)
-        seen = view(stage, name, aspect)
-        last = self._chosen.get(client.client_id)
-        before = () if last is None else (last.seen, *last.before)[:KEPT]
-        self._chosen[client.client_id] = _Chosen(name, stage, aspect, seen, before)
-        with client.atomic():
-            client.camera.position, client.camera.look_at = seen.position, seen.target
-            client.camera.up_direction = (0.0, 0.0, 1.0)
+        self._send(client, stage, name, is_known=False)
+
+    def refit(self, client: viser.ClientHandle, stage: Stage) -> None:
+        """From the view that was chosen, now of `stage`, as long as its user has not moved the camera."""
+        chosen = self._chosen.get(client.client_id)
+        if chosen is None:
+            return
+        chosen.stage = stage
+        if not chosen.is_free:
+            self._send(client, stage, chosen.name, chosen.is_known)
 
     def follow(self, client: viser.ClientHandle, stage: Stage) -> None:
         """From now on, from the first view of `stage`."""
@@ -63,26 +70,50 @@ class Gaze:
 
         async def changed(camera: viser.CameraHandle) -> None:
             chosen = self._chosen.get(client.client_id)
-            if chosen is None:
-                return
-            is_there = _is_at(camera, chosen.seen)
-            # The browser puts its camera at the first view by itself, a little after it has come. And viser sends no
-            # view from which it believes that the browser looks, though another one may be on its way there.
-            if not is_there and any(_is_at(camera, other) for other in (view(chosen.stage, ALL), *chosen.before)):
-                self.look(client, chosen.stage, chosen.name)
-            elif not is_there and chosen.has_come:
-                # Its user has moved it.
-                self.forget(client.client_id)
-            elif _aspect(camera) != chosen.aspect:
-                self.look(client, chosen.stage, chosen.name)
-            else:
-                chosen.has_come = is_there
+            if chosen is not None:
+                self._hear(client, chosen, camera)
 
         client.camera.on_update(changed)
+
+    def is_settled(self, client: int) -> bool:
+        """Whether a browser looks from where it was told to, or from where its user wants."""
+        chosen = self._chosen.get(client)
+        return chosen is not None and (chosen.is_there or chosen.is_free)
 
     def forget(self, client: int) -> None:
         """A browser has gone."""
         self._chosen.pop(client, None)
+
+    def _hear(self, client: viser.ClientHandle, chosen: _Chosen, camera: viser.CameraHandle) -> None:
+        chosen.is_there = _is_at(camera.position, chosen.seen)
+        if not chosen.is_there and _is_at(camera.position, view(chosen.stage, ALL)):
+            # It goes there by itself, a little after it has come, and by its own "Reset View".
+            self._send(client, chosen.stage, ALL, is_known=True)
+        elif chosen.is_free:
+            return
+        elif not chosen.is_there and any(_is_at(camera.position, other) for other in chosen.before):
+            # Viser sends no view from which it believes that the browser looks, though another one may be on its way
+            # there.
+            self._send(client, chosen.stage, chosen.name, is_known=True)
+        elif not chosen.is_there and chosen.is_known:
+            chosen.is_free = True
+        elif _aspect(camera) != chosen.aspect:
+            self._send(client, chosen.stage, chosen.name, chosen.is_known or chosen.is_there)
+        else:
+            chosen.is_known = chosen.is_there
+
+    def _send(self, client: viser.ClientHandle, stage: Stage, name: str, is_known: bool) -> None:
+        aspect = _aspect(client.camera)
+        seen = view(stage, name, aspect)
+        last, before, stays = self._chosen.get(client.client_id), (), False
+        if last is not None:
+            before = (last.seen, *(other for other in last.before if not _is_at(other.position, last.seen)))[:KEPT]
+            # Nothing is sent then, and nothing told.
+            stays = last.is_there and _is_at(last.seen.position, seen)
+        self._chosen[client.client_id] = _Chosen(name, stage, aspect, seen, before, stays, is_known or stays)
+        with client.atomic():
+            client.camera.position, client.camera.look_at = seen.position, seen.target
+            client.camera.up_direction = (0.0, 0.0, 1.0)
 
 
 def _aspect(camera: viser.CameraHandle) -> float:
@@ -90,6 +121,6 @@ def _aspect(camera: viser.CameraHandle) -> float:
     return float(np.clip(camera.image_width / max(camera.image_height, 1), *ASPECTS))
 
 
-def _is_at(camera: viser.CameraHandle, seen: View) -> bool:
-    away = np.linalg.norm(camera.position - seen.position)
+def _is_at(place: NDArray[np.float64], seen: View) -> bool:
+    away = np.linalg.norm(place - seen.position)
     return bool(away < SAME * np.linalg.norm(seen.position - seen.target))

@@ -5,7 +5,11 @@ from __future__ import annotations
 ALONE = 'div[style*="opacity: 0.5"][style*="pointer-events: none"]'
 """What viser puts round all controls while the page is not connected."""
 GONE = "Not connected: gelbot has ended or is out of reach. This is the past; nothing here stops anything."
-"""In the place of the status and of the button that stops, while there is nobody to hear it."""
+"""In the place of the button that stops, while there is nobody to hear it."""
+SILENT = "No word from gelbot for some seconds. The button may not be heard: be ready to stop it elsewhere."
+"""Over that button, while the connection says nothing, as after a cable was pulled."""
+PATIENCE = 4.0
+"""How long it says nothing then [s]: there is a word each second."""
 
 
 def style(stop: str) -> str:
@@ -31,11 +35,17 @@ div:has(> button[id="{stop}"]) {{ position: sticky; top: 0; z-index: 30; backgro
 button[id="{stop}"] {{ height: 3.1em !important; background: #d6201f !important; letter-spacing: .06em;
   font-weight: 700; box-shadow: 0 1px 4px rgba(160, 0, 0, .35); }}
 button[id="{stop}"]:hover {{ background: #b71312 !important; }}
-{ALONE} :is(.gelbot-status > *, .gelbot-seat) {{ display: none; }}
-{ALONE} .gelbot-status::before {{ content: "{GONE}"; display: block; color: #700; background: #ffbcbc;
-  font-weight: 600; border-radius: .3em; padding: .2em .5em; }}
-{ALONE} button[id="{stop}"] {{ visibility: hidden; }}
+div:has(> button[id="{stop}"])::before {{ display: block; color: #700; font-size: .85em; font-weight: 600;
+  border-radius: .3em; margin: .3em 0; padding: .2em .5em; }}
+.gelbot-silent div:has(> button[id="{stop}"])::before {{ content: "{SILENT}"; background: #ffdcb0; }}
+{ALONE} div:has(> button[id="{stop}"])::before {{ content: "{GONE}" !important; background: #ffbcbc; }}
+{ALONE} :is(.gelbot-status, .gelbot-error, .gelbot-seat, button[id="{stop}"]) {{ display: none; }}
 </style>"""
+
+
+def beat(count: int) -> str:
+    """What changes each second, unseen, as long as the page is served."""
+    return f'<i class="gelbot-beat" hidden>{count}</i>'
 
 
 SCRIPT = """
@@ -53,7 +63,13 @@ if (!window.gelbotStops) {
     const again = { key: event.key, code: event.code, bubbles: true };
     document.documentElement.dispatchEvent(new KeyboardEvent("keydown", again));
   }, true);
+  let last = "", heard = performance.now();
+  setInterval(() => {
+    const beat = document.querySelector(".gelbot-beat")?.textContent ?? "";
+    if (beat !== last || document.hidden) [last, heard] = [beat, performance.now()];
+    document.body.classList.toggle("gelbot-silent", performance.now() - heard > PATIENCE);
+  }, 500);
 }
-"""
-"""The name of the window; and the stop by key where viser's own keys are silent: Escape also in a field, the space bar
-also on a button, which it does not press then."""
+""".replace("PATIENCE", f"{1e3 * PATIENCE:g}")
+"""The name of the window; the stop by key where viser's own keys are silent: Escape also in a field, the space bar
+also on a button, which it does not press then; and whether the page is silent, which no tab is that nobody sees."""

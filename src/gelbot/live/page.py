@@ -5,9 +5,11 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from html import escape
+from typing import Any
 
 import numpy as np
 import viser
@@ -111,6 +113,7 @@ class Page:
         stop.on_click(self._stop_pressed)
         self._status = gui.add_html("", order=0.2)
         gui.add_html(look.style(stop._impl.uuid), order=0.0)
+        self._beat = gui.add_html(look.beat(0), order=0.0)
         words = "Zero volts at once"
         gui.add_command("Emergency stop", description=words, hotkey="escape").on_trigger(self._stop_pressed)
         gui.add_command("Stop", description=words, hotkey="space").on_trigger(self._stop_pressed)
@@ -141,9 +144,11 @@ class Page:
         for part in (self._plots, self._panel, self._scene):
             part.remove()
         self._compose(not is_other)
-        if is_other:
-            for client in self._server.get_clients().values():
+        for client in self._server.get_clients().values():
+            if is_other:
                 self._look(client, ALL)
+            else:
+                self._later(self._gaze.refit, client, stage)
 
     def _loop(self) -> None:
         due, number, complained = time.perf_counter(), 0, ""
@@ -166,6 +171,8 @@ class Page:
                     _log.error("a picture could not be shown: %s", text, exc_info=None if is_told else error)
                 complained = text
             number += 1
+            if number % RATE == 0:
+                self._beat.content = look.beat(number // int(RATE))
             due = max(due + 1.0 / RATE, time.perf_counter() - 1.0 / RATE)
             self._done.wait(max(0.0, due - time.perf_counter()))
 
@@ -174,7 +181,6 @@ class Page:
 
         It is not the one that makes the pictures, which may have to wait for the session.
         """
-        loop = self._server._event_loop
         heard, has_stopped = threading.Event(), False
         asked = time.monotonic()
         heard.set()
@@ -183,8 +189,7 @@ class Page:
                 has_stopped = False
                 heard.clear()
                 asked = time.monotonic()
-                with suppress(RuntimeError):  # the server has ended
-                    loop.call_soon_threadsafe(heard.set)
+                self._later(heard.set)
             elif not has_stopped and time.monotonic() - asked >= PATIENCE:
                 has_stopped = True
                 _log.error("the page has not answered for %.0f s: emergency stop", PATIENCE)
@@ -298,4 +303,9 @@ class Page:
         )
 
     def _look(self, client: viser.ClientHandle, name: str) -> None:
-        self._server._event_loop.call_soon_threadsafe(self._gaze.look, client, self._stage, name)
+        self._later(self._gaze.look, client, self._stage, name)
+
+    def _later(self, what: Callable[..., None], *arguments: Any) -> None:
+        """Do this in the server's own thread."""
+        with suppress(RuntimeError):  # the server has ended
+            self._server._event_loop.call_soon_threadsafe(what, *arguments)
