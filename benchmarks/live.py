@@ -122,7 +122,7 @@ def browser_at(url: str, is_here: bool) -> Iterator[tuple[Callable[[float], obje
     from browser import browser_page  # pyright: ignore[reportMissingImports]
 
     if is_here:
-        with browser_page(url, WIDTH, HEIGHT) as page:
+        with browser_page(url, WIDTH, HEIGHT, niceness=0) as page:
             yield lambda seconds: page.wait_for_timeout(1e3 * seconds), lambda: int(page.evaluate(FRAMES))
         return
     with TemporaryFile() as dots:

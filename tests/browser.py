@@ -31,13 +31,13 @@ NO_BROWSER = "" if CHROMIUM.exists() else f"there is no browser at {CHROMIUM} (a
 
 
 @contextmanager
-def playwright_behind() -> Iterator[Playwright]:
+def playwright_behind(niceness: int = BEHIND) -> Iterator[Playwright]:
     """Playwright, whose browsers the system runs behind everything else: they draw with the processor, and would take
-    it from what is tried. Where it cannot be taken back, this process stays where it is."""
+    it from what is tried. 0: as any other program. Where it cannot be taken back, this process stays where it is."""
     manager, is_root = sync_playwright(), hasattr(os, "geteuid") and os.geteuid() == 0
     before = os.getpriority(os.PRIO_PROCESS, 0) if is_root else 0
     if is_root:
-        os.setpriority(os.PRIO_PROCESS, 0, BEHIND)
+        os.setpriority(os.PRIO_PROCESS, 0, niceness)
     try:
         started = manager.__enter__()
     finally:
@@ -79,9 +79,11 @@ def open_page(
 
 
 @contextmanager
-def browser_page(url: str, width: int = 1000, height: int = 700, sharp: float = 0.5) -> Iterator[Page]:
-    """A page at `url` in a browser of its own, for the time of a block; as `open_page`."""
-    with playwright_behind() as playwright:
+def browser_page(
+    url: str, width: int = 1000, height: int = 700, sharp: float = 0.5, niceness: int = BEHIND
+) -> Iterator[Page]:
+    """A page at `url` in a browser of its own, for the time of a block; as `open_page` and `playwright_behind`."""
+    with playwright_behind(niceness) as playwright:
         browser = launch(playwright)
         try:
             yield open_page(browser, url, width, height, sharp)

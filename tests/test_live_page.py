@@ -858,7 +858,7 @@ def test_closing_the_driver_s_tab_stops_at_once(browser: Browser, toy: Toy, serv
 def test_a_page_that_is_left_alone_says_so(browser: Browser, toy: Toy) -> None:
     with serve(toy, port=0) as served:
         page = open_page(browser, served.url)
-        stop = page.get_by_role("button", name="EMERGENCY STOP")
+        stop = page.locator("button", has_text="EMERGENCY STOP")
         ready, seat = page.get_by_text("ready", exact=True), page.get_by_text("You drive")
         assert stop.is_visible()
         assert ready.is_visible()
