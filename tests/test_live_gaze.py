@@ -101,6 +101,15 @@ def looks(browser: Browser, stage: Stage, name: str = ALL) -> bool:
     return np.allclose(browser.position, wanted.position) and np.allclose(browser.look_at, wanted.target)
 
 
+def stays(browser: Browser, size: tuple[int, int]) -> None:
+    """Where it is, it stays, also when its picture gets another `size` [px]."""
+    mine = browser.position
+    browser.settle()
+    browser.size = size
+    browser.settle()
+    np.testing.assert_array_equal(browser.position, mine)
+
+
 def go_to_the_first_view(browser: Browser, stage: Stage) -> None:
     """What viser's browser does by itself, some time after it has come."""
     first = view(stage, ALL)
@@ -186,11 +195,7 @@ def test_a_view_that_is_not_sent_since_the_browser_is_there(browser, gaze, stage
         browser.settle()
     gaze.look(browser.client, stage, name)
     browser.drag()
-    mine = browser.position
-    browser.settle()
-    browser.size = NARROW
-    browser.settle()
-    np.testing.assert_array_equal(browser.position, mine)
+    stays(browser, NARROW)
 
 
 def test_a_user_s_hand_while_a_view_is_on_its_way(browser, stage):
@@ -202,11 +207,7 @@ def test_a_user_s_hand_while_a_view_is_on_its_way(browser, stage):
     browser.hear()
     # The view and the next bit of the way in one picture.
     browser.drag()
-    mine = browser.position
-    browser.settle()
-    browser.size = OTHER
-    browser.settle()
-    np.testing.assert_array_equal(browser.position, mine)
+    stays(browser, OTHER)
 
 
 def test_many_shapes_while_a_view_is_on_its_way(browser, stage):
@@ -268,12 +269,8 @@ def test_what_its_user_has_moved_stays(browser, gaze, stage, name):
     assert looks(browser, stage, name)
     assert gaze.is_settled(0)
     browser.drag()
-    mine = browser.position
-    browser.settle()
+    stays(browser, OTHER)
     assert gaze.is_settled(0)
-    browser.size = OTHER
-    browser.settle()
-    np.testing.assert_array_equal(browser.position, mine)
     # Until a view is chosen again.
     gaze.look(browser.client, stage, name)
     browser.settle()
