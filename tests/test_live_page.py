@@ -38,7 +38,7 @@ from gelbot.errors import BadInput, GelbotError
 from gelbot.live import colours, page, shared
 from gelbot.live.between import Between
 from gelbot.live.hand import SOON, Hand, wanted
-from gelbot.live.look import GONE, PATIENCE, SILENT
+from gelbot.live.look import GONE, SILENCE, SILENT
 from gelbot.live.plates import FRAMES, OPACITY, SOLID, short
 from gelbot.live.plots import History
 from gelbot.live.seat import Seat
@@ -627,8 +627,7 @@ def test_a_plate_is_clicked_and_the_body_moves(browser: Browser, toy: Toy, serve
     asked_for: list[str] = []
     page.on("request", lambda request: asked_for.append(request.url))
     page.close()
-    page = open_page(browser, served.url)
-    try:
+    with open_page(browser, served.url) as page:
         assert page.title() == "gelbot"
         click_electrode(page, served, ELECTRODE)
         assert asked(toy, page, "set_voltage", ELECTRODE, 5.0)
@@ -648,8 +647,6 @@ def test_a_plate_is_clicked_and_the_body_moves(browser: Browser, toy: Toy, serve
         page.get_by_text("reset first, then start").wait_for()
         press(page, "reset")
         assert asked(toy, page, "reset")
-    finally:
-        page.close()
 
 
 @in_browser
@@ -668,8 +665,7 @@ def test_nothing_is_fetched_from_anywhere_else(browser: Browser, served: Served)
 @in_browser
 @pytest.mark.slow
 def test_a_rectangle_paints_the_plates_in_it(browser: Browser, toy: Toy, served: Served) -> None:
-    page = open_page(browser, served.url)
-    try:
+    with open_page(browser, served.url) as page:
         page.get_by_text("show", exact=True).click()
         press(page, "above")
         page.wait_for_timeout(1500)
@@ -686,15 +682,12 @@ def test_a_rectangle_paints_the_plates_in_it(browser: Browser, toy: Toy, served:
         assert {call[0] for call in called(toy, "set_voltage")} == {8, 9, 12, 13}
         press(page, "all zero")
         until(lambda: (15, 0.0) in called(toy, "set_voltage"), page=page)
-    finally:
-        page.close()
 
 
 @in_browser
 @pytest.mark.slow
 def test_ctrl_and_drag_paint_the_plates_on_the_way(browser: Browser, toy: Toy, served: Served) -> None:
-    page = open_page(browser, served.url)
-    try:
+    with open_page(browser, served.url) as page:
         before = served.page.browsers()[0].camera.position
         places = [electrode_on_page(page, served, k) for k in (4, 6, 10)]
         page.mouse.move(places[0][0] - 1, places[0][1])
@@ -709,15 +702,12 @@ def test_ctrl_and_drag_paint_the_plates_on_the_way(browser: Browser, toy: Toy, s
         page.keyboard.up("Control")
         until(lambda: {call[0] for call in called(toy, "set_voltage")} == {4, 5, 6, 10}, page=page)
         np.testing.assert_allclose(served.page.browsers()[0].camera.position, before)
-    finally:
-        page.close()
 
 
 @in_browser
 @pytest.mark.slow
 def test_all_plates_are_in_the_first_view_until_the_user_turns_it(browser: Browser, toy: Toy, served: Served) -> None:
-    page = open_page(browser, served.url, 1280, 720)
-    try:
+    with open_page(browser, served.url, 1280, 720) as page:
         client = served.page.browsers()[0]
 
         def outer() -> Any:
@@ -747,16 +737,13 @@ def test_all_plates_are_in_the_first_view_until_the_user_turns_it(browser: Brows
         electrode_on_page(page, served, 0)
         page.wait_for_timeout(500)
         np.testing.assert_allclose(client.camera.position, turned, rtol=1e-3)
-    finally:
-        page.close()
 
 
 @in_browser
 @pytest.mark.slow
 def test_the_gel_is_seen_from_above(browser: Browser, toy: Toy, served: Served) -> None:
     """One plate hangs over its middle: through its frame the gel is green, a solid one hides it."""
-    page = open_page(browser, served.url)
-    try:
+    with open_page(browser, served.url) as page:
         toy._now(adsorption=np.full(toy.stage().faces.shape[1], 0.6))
         served.page._look(served.page.browsers()[0], "above")
         page.wait_for_timeout(1500)
@@ -775,16 +762,13 @@ def test_the_gel_is_seen_from_above(browser: Browser, toy: Toy, served: Served) 
         until(lambda: green() < 0.5 * through, page=page)
         click_electrode(page, served, 6)
         assert asked(toy, page, "set_voltage", 6, 5.0)
-    finally:
-        page.close()
 
 
 @in_browser
 @pytest.mark.slow
 def test_panes_have_their_colours_below_the_water(browser: Browser, toy: Toy, served: Served) -> None:
     toy._now(given=np.full(16, 10.0), asked=np.full(16, 10.0))
-    page = open_page(browser, served.url, 1280, 720, sharp=1.0)
-    try:
+    with open_page(browser, served.url, 1280, 720, sharp=1.0) as page:
         # Those that no message covers, and not the one above the gel.
         shown = {k: electrode_on_page(page, served, k) for k in (4, 5, *range(7, 16))}
 
@@ -794,16 +778,12 @@ def test_panes_have_their_colours_below_the_water(browser: Browser, toy: Toy, se
 
         page.wait_for_timeout(1000)
         until(lambda: pale() == [], 15.0, page)
-    finally:
-        page.close()
 
 
 @in_browser
 @pytest.mark.slow
 def test_a_watcher_moves_nothing_and_stops_everything(browser: Browser, toy: Toy, served: Served) -> None:
-    driver = open_page(browser, served.url)
-    watcher = open_page(browser, served.url)
-    try:
+    with open_page(browser, served.url) as driver, open_page(browser, served.url) as watcher:
         watcher.get_by_text("Watching; browser 1 drives.").wait_for()
         press(driver, "start")
         assert asked(toy, driver, "start")
@@ -825,17 +805,12 @@ def test_a_watcher_moves_nothing_and_stops_everything(browser: Browser, toy: Toy
         watcher.get_by_text("You drive (browser 2).").wait_for()
         press(watcher, "reset")
         assert asked(toy, watcher, "reset")
-    finally:
-        driver.close()
-        watcher.close()
 
 
 @in_browser
 @pytest.mark.slow
 def test_closing_the_driver_s_tab_stops_at_once(browser: Browser, toy: Toy, served: Served) -> None:
-    driver = open_page(browser, served.url)
-    watcher = open_page(browser, served.url)
-    try:
+    with open_page(browser, served.url) as driver, open_page(browser, served.url) as watcher:
         click_electrode(driver, served, ELECTRODE)
         press(driver, "start")
         until(lambda: toy.moment().given[ELECTRODE] == 5.0, page=driver)
@@ -849,8 +824,6 @@ def test_closing_the_driver_s_tab_stops_at_once(browser: Browser, toy: Toy, serv
         watcher.get_by_text("Watching; nobody drives.").wait_for()
         press(watcher, "take over")
         watcher.get_by_text("You drive (browser 2).").wait_for()
-    finally:
-        watcher.close()
 
 
 @in_browser
@@ -878,19 +851,16 @@ def test_a_page_that_is_left_alone_says_so(browser: Browser, toy: Toy) -> None:
 @pytest.mark.slow
 def test_a_page_that_hears_nothing_says_so(browser: Browser, toy: Toy, served: Served) -> None:
     """As behind a pulled cable, of which a connection does not know."""
-    page = open_page(browser, served.url)
-    try:
+    with open_page(browser, served.url) as page:
         stop = page.get_by_role("button", name="EMERGENCY STOP")
         over = stop.locator("xpath=..")
-        page.wait_for_timeout(1.5e3 * PATIENCE)
+        page.wait_for_timeout(1.5e3 * SILENCE)
         assert over.evaluate(BEFORE) == "none"
         served.page._done.set()
         until(lambda: SILENT in over.evaluate(BEFORE), page=page)
         # It may still be heard.
         stop.click()
         assert asked(toy, page, "emergency_stop", "browser 1")
-    finally:
-        page.close()
 
 
 @in_browser
@@ -900,38 +870,31 @@ def test_a_page_that_hears_nothing_says_so(browser: Browser, toy: Toy, served: S
     [("Escape", ""), ("Escape", "height, mm"), ("Space", ""), ("Space", "record")],
 )
 def test_a_key_stops(browser: Browser, toy: Toy, served: Served, key: str, focus: str) -> None:
-    page = open_page(browser, served.url)
-    try:
+    with open_page(browser, served.url) as page:
         if focus:
             field(page, focus).focus()
         page.keyboard.press(key)
         assert asked(toy, page, "emergency_stop", "browser 1")
         page.wait_for_timeout(200)
         assert called(toy, "record") == []
-    finally:
-        page.close()
 
 
 @in_browser
 @pytest.mark.slow
 def test_the_space_bar_stops_and_presses_no_button(browser: Browser, toy: Toy, served: Served) -> None:
-    page = open_page(browser, served.url)
-    try:
+    with open_page(browser, served.url) as page:
         page.get_by_role("button", name="reset").focus()
         page.keyboard.press("Space")
         assert asked(toy, page, "emergency_stop", "browser 1")
         page.wait_for_timeout(300)
         assert called(toy, "reset") == []
         assert toy.moment().state == "stopped"
-    finally:
-        page.close()
 
 
 @in_browser
 @pytest.mark.slow
 def test_settings_wait_for_the_button_and_a_bad_one_changes_nothing(browser: Browser, toy: Toy, served: Served) -> None:
-    page = open_page(browser, served.url)
-    try:
+    with open_page(browser, served.url) as page:
         page.get_by_text("body and electrodes").click()
         stage = toy.stage()
         write(page, "body.width", "wide")
@@ -949,15 +912,12 @@ def test_settings_wait_for_the_button_and_a_bad_one_changes_nothing(browser: Bro
         # It stays open: there may be more to change.
         until(lambda: field(page, "body.width").is_visible() and page.get_by_role("button", name="build").is_visible())
         page.get_by_text("scenario", exact=True).first.click()
-    finally:
-        page.close()
 
 
 @in_browser
 @pytest.mark.slow
 def test_what_the_driver_chooses_arrives(browser: Browser, toy: Toy, served: Served) -> None:
-    page = open_page(browser, served.url)
-    try:
+    with open_page(browser, served.url) as page:
         choose(page, "driven by", "servo")
         assert asked(toy, page, "drive_with", "servo")
         choose(page, "pace", "fastest")
@@ -978,15 +938,12 @@ def test_what_the_driver_chooses_arrives(browser: Browser, toy: Toy, served: Ser
         until(lambda: served.page._panel.stage.name == "lift", page=page)
         click_electrode(page, served, ELECTRODE)
         assert asked(toy, page, "set_voltage", ELECTRODE, 5.0)
-    finally:
-        page.close()
 
 
 @in_browser
 @pytest.mark.slow
 def test_the_stop_stays_in_sight(browser: Browser, toy: Toy, served: Served) -> None:
-    page = open_page(browser, served.url, 1000, 600)
-    try:
+    with open_page(browser, served.url, 1000, 600) as page:
         for folder in ("show", "scenario", "body and electrodes"):
             page.get_by_text(folder, exact=True).first.click()
         page.wait_for_timeout(500)
@@ -1005,8 +962,6 @@ def test_the_stop_stays_in_sight(browser: Browser, toy: Toy, served: Served) -> 
         # And what is said then does not push it away.
         page.get_by_text("stopped", exact=True).wait_for()
         assert stop.bounding_box() == after
-    finally:
-        page.close()
 
 
 @in_browser
@@ -1015,8 +970,7 @@ def test_the_reference_is_dragged(browser: Browser, toy: Toy, served: Served) ->
     toy.drive_with("servo")
     toy.set_reference(3e-3)
     toy.start()
-    page = open_page(browser, served.url)
-    try:
+    with open_page(browser, served.url) as page:
         until(lambda: served.page._scene.reference.handle.visible, page=page)
         page.wait_for_timeout(1000)
         client = served.page.browsers()[0]
@@ -1039,8 +993,6 @@ def test_the_reference_is_dragged(browser: Browser, toy: Toy, served: Served) ->
             page.wait_for_timeout(60)
         until(dragged, page=page)
         page.mouse.up()
-    finally:
-        page.close()
 
 
 @in_browser

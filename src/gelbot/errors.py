@@ -49,7 +49,11 @@ class BadInput(GelbotError):
 
     def inside(self, place: str) -> BadInput:
         """The same error seen from further out: `place` is put before `where`."""
-        return BadInput(f"{place}: {self.where}", self.given, self.allowed, self.advice, self.more)
+        return self.at(f"{place}: {self.where}")
+
+    def at(self, where: str) -> BadInput:
+        """The same error, found at another place."""
+        return BadInput(where, self.given, self.allowed, self.advice, self.more)
 
 
 class SimulationFailed(GelbotError):

@@ -28,8 +28,7 @@ def changed(ready: Ready, changes: Mapping[str, str]) -> tuple[str, ...]:
         ready.source.load(list(kept.values()))
     except BadInput as error:
         # It was written on the page.
-        where = error.where.removesuffix(BY_OPTION)
-        raise BadInput(where, error.given, error.allowed, error.advice, error.more) from None
+        raise error.at(error.where.removesuffix(BY_OPTION)) from None
     return tuple(kept.values())
 
 

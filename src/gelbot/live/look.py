@@ -8,7 +8,7 @@ GONE = "Not connected: gelbot has ended or is out of reach. This is the past; no
 """In the place of the button that stops, while there is nobody to hear it."""
 SILENT = "No word from gelbot for some seconds. The button may not be heard: be ready to stop it elsewhere."
 """Over that button, while the connection says nothing, as after a cable was pulled."""
-PATIENCE = 4.0
+SILENCE = 4.0
 """How long it says nothing then [s]: there is a word each second."""
 
 
@@ -67,9 +67,9 @@ if (!window.gelbotStops) {
   setInterval(() => {
     const beat = document.querySelector(".gelbot-beat")?.textContent ?? "";
     if (beat !== last || document.hidden) [last, heard] = [beat, performance.now()];
-    document.body.classList.toggle("gelbot-silent", performance.now() - heard > PATIENCE);
+    document.body.classList.toggle("gelbot-silent", performance.now() - heard > SILENCE);
   }, 500);
 }
-""".replace("PATIENCE", f"{1e3 * PATIENCE:g}")
+""".replace("SILENCE", f"{1e3 * SILENCE:g}")
 """The name of the window; the stop by key where viser's own keys are silent: Escape also in a field, the space bar
 also on a button, which it does not press then; and whether the page is silent, which no tab is that nobody sees."""
